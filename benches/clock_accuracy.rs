@@ -1,8 +1,9 @@
-//! How accurately a robot's clock is known after two seconds of exchanges, compared with a single SNTP query on the same path.
+//! Measures how accurately the scheduler knows a robot's clock after two seconds of timestamp exchanges. Compares this with a single SNTP
+//! query on the same network path.
 //!
-//! The paths are bad: each direction has its own minimum delay of 1 to 5 ms and its own heavy tail (Pareto in one direction, lognormal in
-//! the other) up to 40 ms. Ten thousand paths are simulated in virtual time. Some hundreds run in real time through a UDP proxy on
-//! loopback that delays every datagram, in front of an SNTP responder whose clock has a known offset and drifts. If `chronyd` is
+//! The paths are poor: each direction has its own minimum delay of 1 to 5 ms. The delay has a heavy tail, Pareto in one direction and
+//! lognormal in the other, and is at most 40 ms. Ten thousand paths are simulated in virtual time. A few hundred run in real time. There,
+//! a UDP proxy on loopback delays every datagram to an SNTP responder, whose clock drifts and has a known offset. If `chronyd` is
 //! installed, `chronyd -Q` queries the same responders through the same proxies.
 #![expect(
     clippy::unwrap_used,
@@ -26,15 +27,15 @@ use urrcp::{Robot, Server, Span, Timestamp};
 const VIRTUAL_TRIALS: u64 = 10_000;
 const REAL_TRIALS: u64 = 400;
 const CHRONY_TRIALS: u64 = 60;
-/// Number of concurrent trials. They mostly sleep.
+/// Number of concurrent trials. It can be large, because they mostly sleep.
 const AT_ONCE: u64 = 100;
 const EXCHANGES_FOR: Span = Span::from_millis(2_000);
 const PAUSE: Span = Span::from_millis(30);
-/// Time after the last exchange at which the estimate is read again.
+/// Time from the last exchange until the clock estimate is read a second time.
 const LATER: Span = Span::from_millis(10_000);
 const DELAY_MAX_MS: f64 = 40.0;
 
-/// One direction of a path.
+/// The distribution of delays in one direction of a network path.
 #[derive(Clone, Copy, Debug)]
 struct Way {
     least_ms: f64,
@@ -43,9 +44,9 @@ struct Way {
 
 #[derive(Clone, Copy, Debug)]
 enum Tail {
-    /// Infinite variance: shape 1.5, scale 2 ms.
+    /// Pareto distribution (type II) with shape 1.5, hence infinite variance, and scale 2 ms.
     Pareto,
-    /// Median 5 ms, sigma 1.
+    /// Lognormal distribution with median 5 ms and sigma 1.
     Lognormal,
 }
 
@@ -64,7 +65,7 @@ impl Way {
     }
 }
 
-/// A robot's clock and the path to it.
+/// A robot's clock and the network path to the robot.
 #[derive(Clone, Copy, Debug)]
 struct Path {
     there: Way,
@@ -95,7 +96,7 @@ impl Path {
     }
 }
 
-/// Results of one method over all trials.
+/// Results of one method of estimating the clock, over all trials.
 #[derive(Default)]
 struct Found {
     errors_ms: Vec<f64>,
@@ -135,7 +136,7 @@ impl Found {
     }
 }
 
-/// Percentile by nearest rank.
+/// Returns a percentile of `values` by the nearest-rank method.
 fn rank(values: &[f64], percent: usize) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -153,7 +154,8 @@ struct Trials {
 }
 
 impl Trials {
-    /// Adds the exchanges of one trial. Without a separate single query, the first exchange serves as one.
+    /// Adds the results of one trial. `single` is the error of a separate single query. If it is `None`, the first exchange serves as the
+    /// single query.
     fn take(&mut self, path: &Path, samples: &[ClockSample], single: Option<Span>) {
         let mut estimate = ClockEstimate::default();
         samples.iter().for_each(|&sample| estimate.add(sample));
@@ -233,7 +235,7 @@ fn host_now() -> Timestamp<Server> {
     Timestamp::from_nanos(i64::try_from(now.as_nanos()).unwrap())
 }
 
-/// RFC 5905, figure 3: seconds since 1900, and a fraction of 32 bits.
+/// Converts nanoseconds since 1970 to an NTP timestamp (RFC 5905, figure 3): seconds since 1900 and a 32-bit fraction.
 fn to_ntp(nanos: i64) -> [u8; 8] {
     let nanos = u64::try_from(nanos).unwrap();
     let fraction = ((nanos % 1_000_000_000) << 32) / 1_000_000_000;
@@ -246,7 +248,7 @@ fn from_ntp(bytes: &[u8]) -> Timestamp<Robot> {
     Timestamp::from_nanos(i64::try_from(((ntp >> 32) - 2_208_988_800) * 1_000_000_000 + nanos).unwrap())
 }
 
-/// Answers SNTP (RFC 5905, figure 8) with the robot's clock.
+/// Answers SNTP queries (RFC 5905, figure 8) with readings of the robot's clock.
 async fn respond(socket: UdpSocket, path: Path) {
     let mut question = [0; 512];
     while let Ok((_, peer)) = socket.recv_from(&mut question).await {
@@ -263,7 +265,8 @@ async fn respond(socket: UdpSocket, path: Path) {
     }
 }
 
-/// Forwards every datagram after a delay, each from its own port towards the responder, as a NAT does.
+/// Forwards queries to `responder` and answers back, each after a delay of its direction. Like a NAT, it sends each query from a separate
+/// port.
 async fn proxy(front: Arc<UdpSocket>, responder: SocketAddr, path: Path, mut rng: Rng) {
     let mut datagram = [0; 512];
     while let Ok((length, peer)) = front.recv_from(&mut datagram).await {
@@ -335,7 +338,7 @@ async fn real_trial(seed: u64, chrony: bool) -> Trials {
     trials
 }
 
-/// The offset that `chronyd -Q` reports: it queries, sets nothing and exits.
+/// Returns the clock offset that `chronyd -Q` reports. With `-Q`, chronyd only queries the server on `port` and exits; it sets no clock.
 fn ask_chronyd(port: u16) -> Result<Span, String> {
     let folder = tempfile::tempdir().unwrap();
     let (config, pid) = (folder.path().join("chrony.conf"), folder.path().join("pid"));
@@ -371,7 +374,7 @@ async fn in_real_time(count: u64, first_seed: u64, chrony: bool) -> Trials {
     }
 }
 
-/// Mean time that the estimate takes per exchange and reading, if one exchange comes every `pause`.
+/// Returns the mean computing time to add an exchange to the clock estimate and read it. Exchanges are `pause` apart.
 fn cost(pause: Span) -> Duration {
     const EXCHANGES: u32 = 100_000;
     let mut rng = Rng::with_seed(1);

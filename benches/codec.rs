@@ -1,4 +1,4 @@
-//! How fast messages are parsed, compared with the JSON library alone, and how large and fast compact encodings are.
+//! Measures how fast messages are parsed, compared with the JSON library alone. Also measures the size and speed of compact encodings.
 //!
 //! `cargo bench -p urrcp --bench codec`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -12,12 +12,12 @@ use urrcp::{
     Setpoint, Step, StopCondition, Timestamp, encode, encode_as,
 };
 
-/// Every measurement is the median of this many rounds, alternating with its baseline.
+/// Number of rounds. A measurement and its baseline run alternately; each result is the median over all rounds.
 const ROUNDS: usize = 15;
-/// A measurement repeats its work until it has taken this many seconds.
+/// In each round, a measurement repeats its work until it has used this much CPU time, in seconds.
 const ROUND_TIME: f64 = 0.02;
 
-/// A script as compiled from a scenario: a step every 20 ms, values on a grid of a thousandth.
+/// Returns a request with a script such as the compiler produces: a step every 20 ms, with values that are multiples of 0.001.
 fn request(steps: u32) -> Message {
     let step = |i: u32| Step {
         offset: Millis::new(f64::from(i) * 20.0).unwrap(),
@@ -43,13 +43,13 @@ fn median(mut times: Vec<f64>) -> f64 {
 
 type Work<'a> = Box<dyn FnMut() + 'a>;
 
-/// CPU seconds of this thread, independent of other load on the machine.
+/// Returns the CPU time of this thread in seconds. It does not depend on other load on the machine.
 fn computed() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
 }
 
-/// Mean seconds per call of `work`.
+/// Returns the mean CPU time per call of `work`, in seconds.
 fn once(work: &mut dyn FnMut()) -> f64 {
     let begin = computed();
     let mut count = 0;
@@ -60,7 +60,7 @@ fn once(work: &mut dyn FnMut()) -> f64 {
     (computed() - begin) / f64::from(count)
 }
 
-/// Median seconds of each, measured in turn, so that other load disturbs all equally.
+/// Returns the median CPU time per call of each of `works`, in seconds. They take turns, so that other load affects all of them equally.
 fn measure(works: &mut [(&str, Work<'_>)]) -> Vec<f64> {
     let mut times = vec![Vec::new(); works.len()];
     for _ in 0..ROUNDS {
@@ -118,14 +118,14 @@ fn decoding(steps: u32) {
     }
 }
 
-/// An encoding under comparison.
+/// An encoding that the benchmark compares with others.
 struct Candidate {
     name: &'static str,
     write: fn(&Message) -> Vec<u8>,
     read: fn(&[u8]) -> Message,
 }
 
-/// Key names, times and hashes as in JSON.
+/// Encodes `message` as MessagePack, with key names, times and hashes as in JSON.
 fn write_names(message: &Message) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut serializer = rmp_serde::Serializer::new(&mut bytes).with_struct_map().with_human_readable();

@@ -1,4 +1,4 @@
-//! How fast scenarios compile, compared with the YAML library alone, and how memory and time grow.
+//! Measures how fast scenarios compile, compared with the YAML library alone, and how memory and time grow with the number of steps.
 //!
 //! `cargo bench -p downbeat-scripts --bench compile`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -15,7 +15,7 @@ use compiling::{peak_memory, simulated, steps};
 use downbeat_scripts::{Fleet, NoFiles, Source, compile, render};
 use serde::Deserialize;
 
-/// The same scenario as plain structs, as parsed by the YAML library alone.
+/// A scenario as plain structs, which the YAML library alone parses as the baseline.
 #[derive(Deserialize)]
 #[expect(dead_code, reason = "read, not used")]
 struct PlainScenario {
@@ -61,7 +61,8 @@ fn fleet(robots: usize, steps: u32, queue: u32) -> Fleet {
     Fleet { robots, groups, ..Fleet::default() }
 }
 
-/// Robots with four devices each and enough timed keyframes to fill `bytes`. Every `eased`th keyframe is eased.
+/// Returns a scenario of about `bytes` bytes: timed keyframes for robots with four devices each. Every `eased`th keyframe is eased; none
+/// is if `eased` is 0.
 fn keyframes(bytes: usize, robots: usize, eased: usize) -> String {
     let mut text = "scenario: large\ncues:\n".to_owned();
     let each = bytes / robots / 4;
@@ -86,7 +87,7 @@ fn compiled(text: &str, fleet: &Fleet) -> downbeat_scripts::Compiled {
     compile(&Source { name: "bench.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
 }
 
-/// The shortest of several runs.
+/// Returns the shortest time of `runs` runs of `work`.
 fn shortest<T>(runs: usize, mut work: impl FnMut() -> T) -> Duration {
     let once = |work: &mut dyn FnMut() -> T| {
         let begin = Instant::now();
@@ -123,7 +124,7 @@ fn large_file(name: &str, eased: usize) {
     );
 }
 
-/// A short scenario whose repeated move produces `steps` steps on one device.
+/// Returns a short scenario whose repeated move produces `steps` steps on one device.
 fn expanding(steps: usize) -> String {
     let keyframes: String = (0..100)
         .map(|i| format!("{{at: {}ms, to: {}}}, ", i * 10, f64::from((i * 37) % 100) / 10.0))
@@ -153,7 +154,7 @@ fn expansion() {
     );
 }
 
-/// Slope of log time over log size, by least squares.
+/// Returns the exponent with which time grows with size: the slope of log time over log size, by least squares.
 fn exponent(points: &[(f64, f64)]) -> f64 {
     let logs: Vec<_> = points.iter().map(|(size, time)| (size.ln(), time.ln())).collect();
     let mean = |values: &dyn Fn(&(f64, f64)) -> f64| logs.iter().map(values).sum::<f64>() / logs.len() as f64;

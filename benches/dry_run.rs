@@ -1,5 +1,6 @@
-//! A dry run of 100 robots over ten minutes, a million steps, and of half of it: CPU time and peak memory of the program, compared with
-//! compiling the plan alone and with the bare robot machines, which play the same scripts without a mission.
+//! Measures the CPU time and peak memory of a dry run: 100 robots play a million steps in ten minutes. Also measures a dry run of half
+//! that duration. The baselines are compiling the plan alone, and the bare robot state machines, which play the same scripts without a
+//! mission.
 //!
 //! `cargo bench -p downbeat --bench dry_run`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -23,7 +24,7 @@ const ROBOTS: usize = 100;
 /// Time between two steps of a robot.
 const STEP_MS: usize = 60;
 const MINUTES: usize = 10;
-/// Clock ticks per second in /proc, the same on every Linux.
+/// Number of clock ticks per second. `/proc` states CPU times in these ticks, which are the same on every Linux system.
 const TICKS: f64 = 100.0;
 
 const INIT: &str = r#"id: arm
@@ -41,7 +42,7 @@ devices:
       script: {min_value: -90, max_value: 90, granularity: 0.001, max_number_of_steps: 200}
 "#;
 
-/// A scenario in which every robot makes a step every 60 ms. The values are chosen so that no step can be omitted.
+/// Writes a fleet and a scenario in which every robot makes a step every 60 ms. The values are chosen so that no step can be omitted.
 fn generate(folder: &Path, minutes: usize) {
     std::fs::write(folder.join("arm.yaml"), INIT).unwrap();
     let names: Vec<String> = (0..ROBOTS).map(|robot| format!("r{robot}")).collect();
@@ -71,7 +72,8 @@ fn compiled(folder: &Path) -> (Choreography, Fleet) {
     (compiled.choreography.unwrap(), fleet)
 }
 
-/// Plays the scripts on the robot machines alone, each script sent 200 ms before its start: no mission, no leases, no listener.
+/// Plays the scripts on the robot state machines alone, without a mission, leases or a listener. Each script is sent 200 ms before its
+/// start.
 fn bare_robots(folder: &Path) {
     let (choreography, fleet) = compiled(folder);
     let begin: Timestamp<True> = BEGIN.assume_clock();
@@ -119,7 +121,7 @@ fn bare_robots(folder: &Path) {
     println!("{steps} steps");
 }
 
-/// CPU seconds and peak resident megabytes of a program, which must succeed.
+/// Runs a program, which must succeed. Returns its CPU time in seconds and its peak resident memory in megabytes.
 fn measure(program: &Path, arguments: &[&str]) -> (f64, f64) {
     let mut child =
         Process::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();

@@ -1,8 +1,9 @@
-//! Time from the first request to the decision for thousands of robots on loopback, which all play the same script or each its own.
-//! Compared with a raw exchange of messages of the same size over tokio's TCP, with the same exchange if messages are also encoded and
-//! parsed as URRCP requires, and with MQTT through mosquitto if it is installed. Robots are simulated in a separate process.
+//! Measures the time from the first request of a mission to its decision, at which all robots have accepted. Thousands of robots on
+//! loopback play the same script, or each plays its own. The first baseline is a raw exchange of messages of the same size over tokio's
+//! TCP. In the second one, these messages are also encoded and parsed as URRCP requires. The third one is MQTT through mosquitto, if it
+//! is installed. Robots are simulated in a separate process.
 //!
-//! `cargo bench --bench fan_out`; further numbers choose the fleets: `cargo bench --bench fan_out -- 1000 4000`.
+//! `cargo bench --bench fan_out`; numbers as arguments set the sizes of the fleets: `cargo bench --bench fan_out -- 1000 4000`.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -28,7 +29,7 @@ use urrcp::{
     Timestamp, encode,
 };
 
-/// The same allocator as in the program.
+/// The allocator that the `downbeat` program also uses.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -44,7 +45,7 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-/// Each number gives a different script of the same length.
+/// Returns a script. Each `number` gives a different script of the same length.
 fn script(number: usize) -> Script {
     let places = [number % 90, number / 90 % 90, number / 8_100];
     let step = |i: u32| Step {
@@ -58,7 +59,7 @@ fn script(number: usize) -> Script {
     Script::new((0..STEPS).map(step).collect()).unwrap()
 }
 
-/// Which robot plays which script.
+/// Which scripts the robots play.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Plays {
     /// All robots play the same script.
@@ -101,7 +102,7 @@ impl Drop for Peers {
     }
 }
 
-/// Starts this program again in another role.
+/// Starts this program again as `count` peers in the given role.
 fn peers(role: &str, count: usize) -> Peers {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.env("FAN_OUT_ROLE", role).env("FAN_OUT_COUNT", count.to_string());
@@ -134,16 +135,16 @@ async fn be_robots(count: usize) {
     std::future::pending::<()>().await;
 }
 
-/// Payload of the raw exchange.
+/// What the messages of the raw exchange contain.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Carries {
-    /// The same bytes each time.
+    /// Fixed bytes, which neither side parses.
     Bytes,
-    /// Messages that are encoded and parsed.
+    /// Messages, which both sides encode and parse.
     Messages,
 }
 
-/// Answers every line with a line as long as an acceptance.
+/// Runs `count` servers that answer every line: with the line itself or, for [`Carries::Messages`], with an acceptance.
 async fn be_echoes(count: usize, carries: Carries) {
     for _ in 0..count {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -170,7 +171,7 @@ async fn be_echoes(count: usize, carries: Carries) {
     std::future::pending::<()>().await;
 }
 
-/// Response of a robot to a request.
+/// Returns the response of a robot that accepts the request in `line`.
 fn acceptance(line: &str) -> Vec<u8> {
     let Message::ControlRequest(request) = serde_json::from_str(line).unwrap() else { panic!("{line}") };
     let content_hash = Some(request.command.content_hash());
@@ -188,7 +189,7 @@ fn acceptance(line: &str) -> Vec<u8> {
     line
 }
 
-/// Time from the sending timestamp to the decision.
+/// Plays a mission. Returns the time from the timestamp of its requests to its decision, at which all robots have accepted.
 fn downbeat(count: usize, plays: Plays) -> Duration {
     let peers = peers("robots", count);
     runtime().block_on(async {
@@ -237,7 +238,7 @@ fn request(id: usize, script: Script) -> ControlRequest {
     request
 }
 
-/// Sends one message of the same size to every peer and back, all at once, on open connections.
+/// Sends a request to every peer at once, on open connections. Returns the time until all peers have answered.
 fn raw(count: usize, carries: Carries) -> Duration {
     let peers = peers(if carries == Carries::Bytes { "echoes" } else { "readers" }, count);
     runtime().block_on(async {
@@ -355,7 +356,8 @@ mod mqtt {
         std::future::pending::<()>().await;
     }
 
-    /// As a user would build it: publishes to every robot's topic, and counts the answers on a wildcard.
+    /// Publishes to every robot's topic and counts the answers on a wildcard topic, as a user would. Returns the time that this takes;
+    /// `None` if mosquitto cannot be started or does not deliver all answers.
     pub(super) fn exchange(count: usize) -> Option<Duration> {
         let folder = std::env::temp_dir().join("downbeat-fan-out-mosquitto.conf");
         let config = format!(
@@ -422,7 +424,7 @@ mod mqtt {
     }
 }
 
-/// In milliseconds.
+/// The shortest, median and longest of several times, in milliseconds.
 struct Times {
     least: f64,
     median: f64,
@@ -430,7 +432,7 @@ struct Times {
 }
 
 impl Times {
-    /// `None` if nothing was measured.
+    /// Summarizes `durations`; `None` if there are none.
     fn of(mut durations: Vec<Duration>) -> Option<Self> {
         durations.sort();
         let at = |index: usize| durations.get(index).map(|time| time.as_secs_f64() * 1e3);

@@ -1,6 +1,7 @@
-//! Groups that move from formation to formation, compared with the same movements written out, as a custom script would write them with
-//! every place and every assignment already known. The difference is the search for places and ways.
-//! Also compares the total way of all robots with an assignment in which each robot in turn takes the nearest free place.
+//! Measures how long scenarios take to compile in which groups move from formation to formation. The baseline is the same movements
+//! written out as keyframes, as a custom script would write them with all places and assignments already known. The difference is the
+//! time to search for places and routes. Also compares the total distance of all robots with that of an assignment in which each robot in
+//! turn takes the nearest free place.
 //!
 //! `cargo bench -p downbeat-scripts --bench formations`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -18,7 +19,7 @@ use downbeat_scripts::{
     Act, Body, Compiled, Coordinate, Fleet, FleetRobot, NoFiles, Shape, Source, Space, compile,
 };
 
-/// Number of robots, and how often each group is compiled. The shortest time is used.
+/// For each group, the number of robots and the number of times that it is compiled. The shortest time is used.
 const GROUPS: [(usize, usize); 3] = [(100, 5), (300, 3), (1_000, 1)];
 const RADIUS: f64 = 0.25;
 const DISTANCE: f64 = 1.0;
@@ -45,7 +46,7 @@ fn robot(index: usize, [x, y, z]: Place) -> FleetRobot {
     robot
 }
 
-/// Robots on the ground, two metres apart.
+/// Returns a fleet of robots on the ground, two metres apart.
 fn fleet(count: usize) -> Fleet {
     let columns = (count as f64).sqrt().ceil() as usize;
     let place = |index: usize| [2.0 * (index % columns) as f64, 2.0 * (index / columns) as f64, 0.0];
@@ -75,7 +76,7 @@ cues:
     )
 }
 
-/// Times in milliseconds and values, per device of each moving robot.
+/// Returns the times in milliseconds and the values of each moving device, by robot and device.
 fn tracks(act: &Act, fleet: &Fleet) -> BTreeMap<(String, String), Vec<(f64, f64)>> {
     let mut tracks: BTreeMap<(String, String), Vec<(f64, f64)>> = BTreeMap::new();
     for plan in &act.plan.robots {
@@ -102,7 +103,7 @@ fn home(fleet: &Fleet, robot: &str, device: &str) -> f64 {
     devices.iter().find(|known| known.id.as_str() == device).unwrap().default_value.unwrap()
 }
 
-/// The same movements as keyframes.
+/// Returns a scenario with the movements of `act` as keyframes.
 fn written_out(act: &Act, fleet: &Fleet) -> String {
     let mut text = "scenario: written\ncues:\n".to_owned();
     let mut robot = "";
@@ -132,7 +133,7 @@ fn timed(fleet: &Fleet, text: String, times: usize) -> (Compiled, Duration) {
     (0..times).map(|_| one()).min_by_key(|(_, took)| *took).unwrap()
 }
 
-/// Position of each robot after its last step up to this time.
+/// Returns the position of each robot after its last step at or before `at_ms`.
 fn places(act: &Act, fleet: &Fleet, at_ms: f64) -> Vec<Place> {
     let tracks = tracks(act, fleet);
     let value = |robot: &FleetRobot, device: &str| {
@@ -147,7 +148,7 @@ fn metres(a: &Place, b: &Place) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Sum of the ways if each robot in turn takes the nearest free place.
+/// Returns the total distance in metres if each robot in turn takes the nearest free place.
 fn nearest_first(from: &[Place], to: &[Place]) -> f64 {
     let mut free: Vec<&Place> = to.iter().collect();
     let mut sum = 0.0;

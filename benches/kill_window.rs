@@ -1,10 +1,11 @@
-//! How long before the start can a robot fail such that the others are still withdrawn? One of six robot processes is killed, frozen, cut
-//! off or muted at an instant from a second before the start to the start. The robots' own logs show which of them started.
-//! Compared with a scheduler that decides once, when all have accepted. `false_withdrawals` counts missions without a fault that were
-//! withdrawn while every core is busy.
+//! Measures how late a robot can fail before the start so that the mission is still withdrawn, that is, no robot starts. One of six robot
+//! processes is killed, frozen, cut off or muted at some instant in the last second before the start. The robots' own logs show which of
+//! them started. The baseline is a scheduler that decides once, when all robots have accepted. The mode `false_withdrawals` counts
+//! missions without a fault that are withdrawn while every core is busy.
 //!
-//! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS DOUBT`, each optional: `killed`, `frozen`, `cut`, `muted` or
-//! `false_withdrawals`; 200; 1000; `start` or `withdraw`, as the scenario's `on_doubt`.
+//! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS DOUBT`, each optional. MODE is `killed`, `frozen`, `cut`, `muted` or
+//! `false_withdrawals`. TRIALS is 200 by default. EARLIEST_MS, the earliest instant of a fault before the start, is 1000 by default.
+//! DOUBT is the value of `on_doubt` in the scenario: `start` or `withdraw`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -23,15 +24,15 @@ use stage::{Ended, Stage, Via, epoch_nanos, one_device, sleep_until};
 
 const ROBOTS: usize = 6;
 const TRIALS: usize = 200;
-/// Number of stages that play trials concurrently.
+/// Number of stages (fleets of robot processes) that play trials concurrently.
 const STAGES: usize = 2;
-/// Time from sending the scripts to the start. Covers every instant of the trials.
+/// Time from sending the scripts to the start. It is longer than the time from the earliest fault to the start.
 const LEAD: &str = "1100ms";
-/// Duration of the scripts, and some time for the last lines of the logs, in nanoseconds.
+/// Time from the start until the scripts have ended and the robots have written their logs, in nanoseconds.
 const PLAYED: i64 = 450_000_000;
-/// A mission that has not ended within this time hangs.
+/// Time within which every mission ends, unless it hangs.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// The lease of the baseline, in nanoseconds.
+/// The constant lease of a second baseline, in nanoseconds: a fault in this time before the start counts as a mixed start.
 const CONSTANT_LEASE: i64 = 240_000_000;
 
 const SCENARIO: &str = "scenario: window
@@ -66,7 +67,8 @@ impl Fault {
         }
     }
 
-    /// How the first robot is reached. Direct for dead processes, because a proxy would still accept connections to them.
+    /// How the scheduler reaches the first robot: directly if the process is killed or frozen, because a proxy would still accept
+    /// connections for it.
     fn via(self) -> Via {
         match self {
             Self::Killed | Self::Frozen => Via::Direct,
@@ -93,10 +95,11 @@ impl Fault {
     }
 }
 
-/// One mission and its result. Instants are nanoseconds before the start.
+/// One mission and its result. All instants are in nanoseconds before the start.
 struct Trial {
     struck: i64,
-    /// When all robots had accepted, and the printed deadline up to which a failure withdraws the mission.
+    /// The instant at which all robots had accepted, and the printed deadline up to which a failure withdraws the mission. `None` if
+    /// nothing was printed.
     printed: Option<Printed>,
     others: usize,
     victim: bool,
@@ -113,14 +116,14 @@ impl Trial {
         !matches!((self.others, self.victim), (0, false)) && (self.others < ROBOTS - 1 || !self.victim)
     }
 
-    /// Whether the failure came before the printed deadline, but some of the six robots started and others did not. If all start, the
-    /// promise is kept: a link that breaks before a running robot is not a failure of the robot.
+    /// Whether the mission broke the printed promise: the fault came before the deadline, but some of the six robots started and others
+    /// did not. If all robots start, the promise is kept: only a link failed, and its robot kept running.
     fn broke_its_word(&self) -> bool {
         self.is_mixed() && self.printed.as_ref().is_some_and(|printed| self.struck > printed.deadline)
     }
 }
 
-/// Arguments of the command line without options.
+/// Returns the command-line arguments that are not options.
 fn words() -> Vec<String> {
     std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect()
 }
@@ -167,8 +170,9 @@ fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<
     Some(trial)
 }
 
-/// Reads `starts in 1.07 s; if a robot fails in the next 950.1 ms, no robot starts; silence is detected if it begins at least 46 ms
-/// before the start`. A process that ended is known to have failed; all other faults are silence.
+/// Parses the line `starts in 1.07 s; if a robot fails in the next 950.1 ms, no robot starts; silence is detected if it begins at least
+/// 46 ms before the start`. The first deadline applies to a killed process, which is known to have failed. The second one applies to all
+/// other faults, which are silence.
 fn printed(ended: &Ended, fault: Fault) -> Option<Printed> {
     let line = ended.told.lines().find(|line| line.contains("all robots have accepted"))?;
     let after = |words: &str| span(line.split(words).nth(1)?);
@@ -177,7 +181,7 @@ fn printed(ended: &Ended, fault: Fault) -> Option<Printed> {
     Some(Printed { accepted: ahead, deadline })
 }
 
-/// Parses a time such as `347.787 ms` at the beginning of a text, in nanoseconds.
+/// Parses a time such as `347.787 ms` at the beginning of a text. Returns it in nanoseconds.
 fn span(text: &str) -> Option<i64> {
     let mut words = text.split([' ', ';', ',']);
     let number: f64 = words.next()?.parse().ok()?;
@@ -255,7 +259,7 @@ fn tell(fault: Fault, trials: &[Trial]) {
     );
 }
 
-/// Prints the least and longest round trip to the robots, as the program measures them.
+/// Prints the shortest and the longest round trip to the robots, as `downbeat fleet ping` measures them.
 fn tell_round_trips() {
     let stage = stage(Via::Direct);
     let ping = stage.run(&["fleet", "ping", "fleet.yaml", "--format", "json"]).report();
@@ -271,7 +275,7 @@ fn tell_round_trips() {
     );
 }
 
-/// Runs missions in which nothing fails.
+/// Runs missions without a fault next to two busy threads, and counts those that were not done.
 fn false_withdrawals(missions: usize) {
     let (mut done, mut reasons) = (0, BTreeMap::<String, usize>::new());
     let stage = stage(Via::Direct);

@@ -1,6 +1,6 @@
-//! How late a robot's steps are while another robot of the same host receives long scripts over TCP, compared with a host that receives
-//! none. The long scripts carry a `content_hash`, which the robot has to check. The robots' thread requests real-time scheduling; if that
-//! is granted, other load on the machine does not affect the figures.
+//! Measures how late a robot's steps are while another robot of the same host (a process that runs several robots) receives long scripts
+//! over TCP. The baseline is a host that receives none. The long scripts carry a `content_hash`, which the robot has to check. The thread
+//! that runs the robots requests real-time scheduling. If the kernel grants it, other load on the machine does not affect the figures.
 //!
 //! `cargo bench --bench long_upload`
 #![expect(
@@ -23,11 +23,11 @@ use urrcp::{
     Script, Server, Setpoint, Status, Step, Timestamp, encode,
 };
 
-/// Number of steps of the long script.
+/// Number of steps of each uploaded script.
 const LONG: u32 = 10_000;
-/// Number of steps of the watched script.
+/// Number of steps of the script whose lateness is measured.
 const WATCHED: u32 = 2_000;
-/// Time between two watched steps, in milliseconds.
+/// Time between two steps of a script, in milliseconds.
 const BEAT: f64 = 5.0;
 /// Pause between two uploads.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -64,7 +64,7 @@ fn cancel() -> Message {
     Message::ControlRequest(ControlRequest::immediate(DeviceId::new("d").unwrap(), command))
 }
 
-/// Sends long scripts, and cancels each after its acceptance, until the future is dropped.
+/// Sends long scripts until the future is dropped. Cancels each script after the robot has accepted it.
 async fn upload(address: std::net::SocketAddr) {
     let mut stream = TcpStream::connect(address).await.unwrap();
     let mut decoder = Decoder::new(urrcp::LINE_BYTES_MAX);
@@ -104,7 +104,7 @@ async fn play(link: &mut RobotLink) {
     }
 }
 
-/// Lateness of each watched step, in microseconds, in ascending order.
+/// Returns the lateness of each step of the measured script, in microseconds, in ascending order.
 fn lateness(log: &PathBuf) -> Vec<f64> {
     let text = std::fs::read_to_string(log).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());

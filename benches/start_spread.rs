@@ -1,9 +1,10 @@
-//! How closely together and how late six robots start: deferred start with and without real-time scheduling, start on receipt, tokio's
-//! timer, and the best that this machine can do. All take turns within one run, on an idle machine and with all cores busy.
+//! Measures how close together and how late six robots start. It compares a deferred (planned) start with and without real-time
+//! scheduling, a start on receipt, tokio's timer, and the best that this machine can do. All of these take turns within one run, on an
+//! idle machine and with all cores busy.
 //!
-//! Six robot processes on TCP, each with its own clock, up to 300 ms off. True starts are read from the robots' own logs, by the host's
-//! clock. Every second row leaves out the missions in which a witness detected that the host or another program took a core away around
-//! the start. This separates the tail of Downbeat from that of the machine.
+//! The robots are six processes on TCP, each with its own clock that is up to 300 ms off. The true starts, by the host's clock, are read
+//! from the robots' own logs. A witness (threads that watch the cores) detects whether the host or another program took a core away
+//! around the start. Every second row leaves out these missions. This separates the tail of Downbeat from that of the machine.
 //!
 //! `cargo bench --bench start_spread -- [one-host] [idle | busy] [missions N] [auto] [off] [receipt] [tokio] [ideal]`
 #![expect(
@@ -28,10 +29,10 @@ use starting::waiters::{Kind, Waiters, be_a_waiter};
 use starting::witness::{Group, Witness};
 
 const MISSIONS: usize = 100;
-/// Time within which an idle robot has written its log.
+/// Time after the last mission within which each idle robot has written its log.
 const LOGS_WRITTEN: Duration = Duration::from_millis(200);
 
-/// Keeps every core busy.
+/// Child processes that keep every core busy until they are dropped.
 struct Load(Vec<Child>);
 
 impl Load {
@@ -59,7 +60,7 @@ impl Arguments {
         self.0.iter().any(|argument| argument == word)
     }
 
-    /// Whether this way of starting is measured. By default, all are.
+    /// Whether starts of the kind `way`, such as `auto` or `receipt`, are measured. By default, all kinds are.
     fn measures(&self, way: &str) -> bool {
         self.has(way) || !["auto", "off", "receipt", "tokio", "ideal"].iter().any(|way| self.has(way))
     }
@@ -74,7 +75,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
 }
 
-/// Measures starts by time and on receipt, over a network with delays.
+/// Measures deferred starts and starts on receipt, over a simulated network with delays.
 fn over_a_network(missions: usize) {
     let network = Settings { delay: "80ms", ntp_error: "40us", realtime: "auto" };
     let fleets = [Fleet::start(network), Fleet::start(network)];
@@ -89,7 +90,7 @@ fn over_a_network(missions: usize) {
     Measured::of(fleets[1].rounds().iter()).row_of_spreads("start on receipt (baseline)");
 }
 
-/// The ways of starting on one host, each with its name.
+/// The ways of starting robots that are compared on one host, each with its name.
 struct OneHost {
     fleets: Vec<(&'static str, Fleet)>,
     receiving: Option<Fleet>,
@@ -115,7 +116,7 @@ impl OneHost {
         }
     }
 
-    /// Runs one mission each, in turn, so that other load affects all of them equally.
+    /// Runs one mission for each way of starting. They take turns, so that other load affects all of them equally.
     fn round(&mut self, runtime: &tokio::runtime::Runtime) {
         let witness = self.witness.as_ref();
         self.fleets.iter().for_each(|(_, fleet)| runtime.block_on(deferred(fleet, witness)));
@@ -123,7 +124,7 @@ impl OneHost {
         self.waiters.iter_mut().for_each(|(_, waiters)| waiters.round(witness));
     }
 
-    /// Prints the figures. Returns every start.
+    /// Prints the figures. Returns every start as text for other programs.
     fn tell(&self) -> String {
         let witness = self.witness.as_ref();
         if witness.is_none() {

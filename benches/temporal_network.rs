@@ -1,5 +1,5 @@
-//! Temporal networks of 100,000 cues, compared with petgraph's Bellman-Ford on the same graphs; a single change, compared with solving
-//! again; orders of job shops, compared with their proven optima.
+//! Measures three tasks. Temporal networks of 100,000 cues are solved, compared with petgraph's Bellman-Ford on graphs of the same shape.
+//! A single change is compared with solving the network again. Orders of job shops are compared with their proven optima.
 //!
 //! `cargo bench -p downbeat-timing --bench temporal_network`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -16,14 +16,14 @@ use urrcp::Span;
 
 const CUES: usize = 100_000;
 
-/// A network and its original bounds: from, to, minimum, maximum.
+/// A network and its original bounds. Each bound has two events and the minimum and maximum time between them, in nanoseconds.
 struct Shape {
     name: &'static str,
     events: usize,
     bounds: Vec<(usize, usize, Option<i64>, Option<i64>)>,
 }
 
-/// Marsaglia's xorshift: the same graphs in every run.
+/// Marsaglia's xorshift generator, which gives the same graphs in every run.
 struct Random(u64);
 
 impl Random {
@@ -36,7 +36,8 @@ impl Random {
 }
 
 impl Shape {
-    /// Cues with start and end. Event 0 is the origin; events 1 and 2 belong to cue number 0.
+    /// Returns cues with a start event and an end event each, and a function from a cue to its events. Event 0 is the origin; events 1
+    /// and 2 belong to the cue that `number` maps to 0.
     fn cues(
         name: &'static str,
         cues: usize,
@@ -47,7 +48,8 @@ impl Shape {
         (Self { name, events: 1 + 2 * cues, bounds }, move |cue| events[cue])
     }
 
-    /// Each cue follows the previous one, optionally with a largest gap, and has a further constraint to an earlier cue.
+    /// Returns a network in which each cue follows the previous one, optionally with a maximum gap. Each cue also has a constraint to an
+    /// earlier cue.
     fn chain(name: &'static str, cues: usize, largest: Option<i64>, number: impl Fn(usize) -> usize) -> Self {
         let (mut shape, event) = Self::cues(name, cues, number);
         for cue in 1..cues {
@@ -57,7 +59,7 @@ impl Shape {
         shape
     }
 
-    /// Each cue follows two random earlier ones.
+    /// Returns a network in which each cue follows two random earlier cues.
     fn layered(cues: usize) -> Self {
         let (mut shape, event) = Self::cues("random, each after two others", cues, |cue| cue);
         let mut random = Random(7);
@@ -74,7 +76,7 @@ impl Shape {
         shape
     }
 
-    /// Each cue at a fixed time, shortly after the previous one.
+    /// Returns a network in which each cue has a fixed time, shortly after the previous cue.
     fn tied(cues: usize) -> Self {
         let (mut shape, event) = Self::cues("every cue at a fixed time", cues, |cue| cue);
         for cue in 0..cues {
@@ -99,7 +101,7 @@ impl Shape {
         (network, ids)
     }
 
-    /// The bounds as edge lengths, for shortest paths.
+    /// Returns the bounds as edge lengths of a graph, for an algorithm that finds shortest paths.
     fn graph(&self) -> DiGraph<(), f64> {
         let mut graph = DiGraph::with_capacity(self.events, self.bounds.len() * 2 + self.events);
         for _ in 0..self.events {
@@ -169,7 +171,7 @@ fn solve_all() {
     }
 }
 
-/// A contradictory chain: the last cue has to end a nanosecond too early.
+/// Measures how fast a contradiction is found: the last cue of a chain has to end a nanosecond earlier than possible.
 fn conflict() {
     let mut shape = Shape::chain("chain with a contradiction", CUES, Some(50), |cue| cue);
     let (network, _) = shape.network();

@@ -1,8 +1,8 @@
-//! Plain TCP compared with Zenoh through a router, in one run: round trip of one message, bytes per second on one connection, and the
-//! time from the first request of a mission to its decision, with one script per robot and with a common script that is published once.
-//! Robots are simulated in a separate process.
+//! Compares plain TCP with Zenoh through a router, in one run. Measures the round trip of one message and the bytes per second on one
+//! connection. Also measures the time from the first request of a mission to its decision. In these missions, each robot has its own
+//! script, or all robots share a script that is published once. Robots are simulated in a separate process.
 //!
-//! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; further numbers choose the fleets: `-- 100 1000`.
+//! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; numbers as arguments set the sizes of the fleets: `-- 100 1000`.
 //! `ZENOH_STEPS=8,2000` sets the lengths of scripts.
 #![expect(
     clippy::unwrap_used,
@@ -55,7 +55,7 @@ enum Scripts {
     Same,
 }
 
-/// Scripts with 83 to 90 bytes per step.
+/// Returns a plan whose scripts have 83 to 90 bytes per step.
 fn plan(robots: usize, steps: u32, scripts: Scripts) -> Plan {
     let step = |i: u32, value: u32| Step {
         offset: Millis::new(f64::from(i) * 5.0).unwrap(),
@@ -103,7 +103,7 @@ fn configuration(port: u16) -> String {
     format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
 }
 
-/// Starts a router on a free port.
+/// Starts a Zenoh router on a free port. Returns the router and the port.
 fn router() -> (Killed, u16) {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let mut command = Command::new(std::env::var("ZENOHD").unwrap_or_else(|_| "zenohd".to_owned()));
@@ -115,7 +115,8 @@ fn router() -> (Killed, u16) {
     (router, port)
 }
 
-/// Starts this program again in another role. Returns the number that it prints for each of its members.
+/// Starts this program again in another role, such as `count` robots. Returns the port that it prints for each of them, or 0 if it uses
+/// `router`.
 fn others(role: &str, count: usize, router: u16) -> (Killed, Vec<u16>) {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -158,7 +159,7 @@ async fn be_robots(count: usize, router: Option<u16>) {
     std::future::pending::<()>().await;
 }
 
-/// After an initial `e`, echoes all bytes. After any other initial byte, answers with one byte when all data has arrived.
+/// Serves one connection. If its first byte is `e`, echoes all further bytes. Otherwise, answers with one byte when all data has arrived.
 async fn echo(stream: impl AsyncRead + AsyncWrite) {
     let (mut reader, mut writer) = tokio::io::split(stream);
     let Ok(first) = reader.read_u8().await else { return };
@@ -198,7 +199,7 @@ async fn be_echo(router: Option<u16>) {
     }
 }
 
-/// Round trips of 200 bytes, sorted.
+/// Measures round trips of 200 bytes. Returns them in ascending order.
 async fn round_trips(stream: &mut (impl AsyncRead + AsyncWrite + Unpin)) -> Vec<Duration> {
     let (message, mut answer) = ([7; 200], [0; 200]);
     let mut trips = Vec::new();
@@ -213,7 +214,7 @@ async fn round_trips(stream: &mut (impl AsyncRead + AsyncWrite + Unpin)) -> Vec<
     trips
 }
 
-/// Megabytes per second in one direction.
+/// Measures the throughput in one direction, in megabytes per second.
 async fn throughput(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> f64 {
     let piece = vec![7; 64 * 1024];
     stream.write_all(b"s").await.unwrap();
@@ -257,7 +258,8 @@ const fn way(router: Option<u16>) -> &'static str {
     if router.is_some() { "Zenoh through a router" } else { "TCP" }
 }
 
-/// Time from the first request to the decision. The robots connect to the router; the scheduler connects through another port.
+/// Returns the time from the first request of a mission to its decision. The robots connect to port `router`; the scheduler connects to
+/// port `through`.
 fn decision(
     (count, steps, scripts): (usize, u32, Scripts),
     router: Option<u16>,
@@ -303,7 +305,7 @@ fn decision(
     })
 }
 
-/// A relay to the router that counts the bytes sent by the connecting side.
+/// Starts a relay to the router. Returns its port and a counter of the bytes that the connecting side sends.
 fn relay(router: u16) -> (u16, Arc<AtomicU64>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let (port, counted) = (listener.local_addr().unwrap().port(), Arc::new(AtomicU64::new(0)));
@@ -331,7 +333,8 @@ fn carry((mut from, mut to): (std::net::TcpStream, std::net::TcpStream), counted
     let _gone = to.shutdown(std::net::Shutdown::Both);
 }
 
-/// Prints the time from the first request of missions to their decision, and the bytes that their scheduler sends through the router.
+/// Prints the time from the first request of a mission to its decision, and the number of bytes that the scheduler sends through the
+/// router.
 fn missions(of: (usize, u32, Scripts), router: Option<u16>) {
     let mut times: Vec<_> = (0..ROUNDS).map(|_| decision(of, router, router)).collect();
     times.sort();

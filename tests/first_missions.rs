@@ -1,5 +1,5 @@
-//! A few missions on robots as processes, for everyone who runs `cargo test`. They wait for events and allow for a slow machine with long
-//! leases and wide tolerances. `tests/processes/` has the others.
+//! A few missions on robots as processes, for everyone who runs `cargo test`. They wait for events, and their long leases and wide
+//! tolerances allow for a slow machine. `tests/processes/` contains all other missions.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use stage::{Stage, Via, one_device};
 /// Time within which a robot starts to play, even on a busy machine.
 const SOON: Duration = Duration::from_secs(60);
 
-/// Robots with one device, and a scenario of two acts. The second act waits for the operator.
+/// Prepares robots with one device, and a scenario of two acts. The second act waits for the operator.
 fn stage(robots: usize) -> Stage {
     let mut stage = Stage::new();
     stage.file("robot.yaml", one_device(2, 90, 20));
@@ -40,7 +40,7 @@ cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 300ms, to: 2}, {
     stage
 }
 
-/// Plays both acts; gives the go as soon as the mission accepts it.
+/// Plays both acts. Repeats the command `go`, which starts the second act, until the mission accepts it.
 #[test]
 fn two_acts_are_played_by_all_robots_and_the_second_waits_for_go() {
     let stage = stage(3);

@@ -25,7 +25,7 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-/// Two acts of 3.5 s that alternate forever.
+/// Returns two acts of 3.5 s that alternate forever.
 fn choreography() -> Choreography {
     let step = |i: u32| Step {
         offset: Millis::new(f64::from(i) * 500.0).unwrap(),
@@ -113,7 +113,7 @@ impl World {
     }
 }
 
-/// Resident memory of this process in kilobytes.
+/// Returns the resident memory of this process, in kilobytes.
 fn resident() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();

@@ -1,4 +1,4 @@
-//! Helpers that the compiler benchmarks share: simulated robots, and counts.
+//! Helpers that the compiler benchmarks share: simulated robots, step counts and memory use.
 
 use downbeat_scripts::{Address, Compiled, FleetRobot};
 
@@ -6,7 +6,7 @@ pub fn simulated(init: urrcp::InitializationBlock) -> FleetRobot {
     FleetRobot::new(init.id.clone(), Address::Simulated, Some(init))
 }
 
-/// Number of steps in all scripts of all acts.
+/// Returns the number of steps in all scripts of all acts.
 pub fn steps(compiled: &Compiled) -> usize {
     let acts = compiled.choreography.iter().flat_map(|choreography| &choreography.acts);
     let scripts = acts.flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);

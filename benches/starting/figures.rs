@@ -1,4 +1,4 @@
-//! Spread and lateness of starts, as readable figures.
+//! Prints the spread and the lateness of starts.
 
 use std::fmt::Write;
 
@@ -8,14 +8,14 @@ use super::witness::Witness;
 #[derive(Clone, Copy)]
 pub struct Start {
     pub true_ns: i64,
-    /// Lateness by the robot's own clock.
+    /// Time from the planned to the actual start, by the robot's own clock, in nanoseconds.
     pub late_ns: i64,
 }
 
 /// The starts of one mission, earliest first.
 pub type Round = Vec<Start>;
 
-/// Figures in milliseconds, each sorted.
+/// The lateness of each start and the spread of each mission, in milliseconds and in ascending order.
 pub struct Measured {
     late: Vec<f64>,
     spreads: Vec<f64>,
@@ -45,7 +45,7 @@ impl Measured {
     }
 }
 
-/// Prints a row of all missions, and a row of those in which the witness saw no disturbance.
+/// Prints a row for all missions and, with a witness, a row for those in which no core was taken away.
 pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
     Measured::of(rounds.iter()).row(name);
     if let Some(witness) = witness {
@@ -56,7 +56,7 @@ pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
     }
 }
 
-/// One line per round, for other programs.
+/// Returns one line per mission, for other programs.
 pub fn raw(name: &str, rounds: &[Round], witness: Option<&Witness>) -> String {
     let mut lines = String::new();
     for round in rounds {

@@ -19,7 +19,7 @@ pub const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "dev
      "position": {"min_value": 0, "max_value": 90, "granularity": 1},
      "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-/// Settings with which the robots of a fleet run.
+/// Command-line settings of the robot processes in a fleet.
 #[derive(Clone, Copy)]
 pub struct Settings {
     pub delay: &'static str,
@@ -68,7 +68,7 @@ impl Fleet {
         }
     }
 
-    /// The starts of a robot's scripts.
+    /// Returns the starts of a robot's scripts, from its log.
     fn starts(&self, id: usize) -> Vec<Start> {
         let log = std::fs::read_to_string(self.log(id)).unwrap();
         let entries = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
@@ -85,7 +85,7 @@ impl Fleet {
             .collect()
     }
 
-    /// The missions that all robots started.
+    /// Returns the starts of each mission in which all robots started.
     pub fn rounds(&self) -> Vec<Round> {
         let mut starts: Vec<_> = (0..ROBOTS).flat_map(|id| self.starts(id)).collect();
         starts.sort_by_key(|start| start.true_ns);

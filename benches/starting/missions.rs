@@ -17,9 +17,9 @@ use super::ROBOTS;
 use super::fleet::{Fleet, ROBOT};
 use super::witness::Witness;
 
-/// Number of missions that were repeated.
+/// Number of missions that failed and were repeated.
 pub static REPEATED: AtomicUsize = AtomicUsize::new(0);
-/// More repetitions than this are an error.
+/// Maximum number of repetitions; more of them are an error.
 const REPEATED_MAX: usize = 100;
 
 fn script() -> Script {

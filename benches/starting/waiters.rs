@@ -1,4 +1,4 @@
-//! Six processes that only wait for one instant: with tokio's timer, or as precisely as this machine can.
+//! Six processes that only wait for a given instant: with tokio's timer, or as precisely as this machine allows.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -8,24 +8,24 @@ use super::figures::{Round, Start};
 use super::witness::{Witness, become_first, stay_on};
 use super::{ROBOTS, epoch_nanos};
 
-/// How long before the instant it is sent to the processes.
+/// Time from sending an instant to the processes until that instant.
 const AHEAD_NS: i64 = 150_000_000;
-/// An ideal waiter spins for this long before the instant, regardless of other load on the core.
+/// Time before the instant during which an ideal waiter spins, regardless of other load on its core.
 const SPIN_NS: i64 = 2_000_000;
 
-/// After the instant, an ideal waiter yields to the others on its core for this long.
+/// Time after the instant during which an ideal waiter lets the other waiters on its core run.
 const TURNS_NS: i64 = 200_000;
 
 /// How a process waits.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Kind {
-    /// The usual way without a dedicated thread.
+    /// With tokio's timer: the usual way without a dedicated thread.
     Tokio,
     /// With the highest priority on its core and no other work: the bound that no robot can beat.
     Ideal,
 }
 
-/// Processes that are killed on drop.
+/// Waiting processes, which are killed on drop.
 pub struct Waiters {
     children: Vec<Child>,
     inputs: Vec<ChildStdin>,
@@ -89,7 +89,7 @@ fn be_a_timer() {
     });
 }
 
-/// Runs before all other programs on its core, which it shares only with other ideal waiters.
+/// Waits for each instant with a priority above all other programs on its core, except other ideal waiters.
 fn be_ideal(id: usize) {
     let cores = std::thread::available_parallelism().map_or(1, Into::into);
     stay_on(id % cores);

@@ -1,6 +1,6 @@
-//! Detects whether the host of a virtual machine, or another program on it, took a core away around a start. A thread on each core, which
-//! runs before all others, compares the elapsed time with the time that the kernel gave to threads and to idling. The difference was
-//! taken by the host. Time of threads outside this program and its children was taken by other programs or by the kernel itself.
+//! Detects whether the host of a virtual machine, or another program on this machine, took a core away around a start. A thread of the
+//! highest priority on each core compares the elapsed time with the time that the kernel gave to threads and to idling. The host took the
+//! difference. Other programs or the kernel itself took the time of threads outside this program and its children.
 //!
 //! The thread wakes once before and once after the start, so that it does not disturb the robots. A single wake-up takes 10 to 30 us of a
 //! core on such a machine.
@@ -15,21 +15,21 @@ use std::time::Duration;
 
 use super::epoch_nanos;
 
-/// A smaller difference may be the kernel's own.
+/// Minimum unaccounted time of a core that counts as taken away by the host. The kernel itself may cause smaller differences.
 const TAKEN_BY_HOST: Duration = Duration::from_micros(50);
-/// The kernel's own threads use less than this around a start.
+/// Minimum CPU time of other programs that counts as a core taken away. The kernel's own threads use less around a start.
 const TAKEN_BY_OTHERS: Duration = Duration::from_micros(200);
-/// The counters are read this long before the start and this long after it.
+/// Times before and after the start at which the counters are read.
 const BEFORE_NS: i64 = 3_000_000;
 const AFTER_NS: i64 = 1_500_000;
-/// Robots that start within this time of an instant belong to it.
+/// Starts within this time before or after an observed instant belong to that instant.
 const NEAR_NS: i64 = 20_000_000;
 
-/// Where the kernel reports the CPU time of threads. If this controller also distributes the shares of the cores, our own group would
-/// change the shares.
+/// Directory of the control groups in which the kernel reports the CPU time of threads. If the kernel also distributes the cores by these
+/// groups, our own group changes the shares.
 const GROUPS: &str = "/sys/fs/cgroup/cpuacct";
 
-/// For how long a core was taken away around a start. With several cores, the maximum.
+/// Time for which a core was taken away around a start: the maximum over all cores.
 #[derive(Clone, Copy, Default)]
 pub struct Taken {
     pub by_host: Duration,
@@ -37,7 +37,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    /// Whether the time is long enough to matter.
+    /// Whether a core was taken away for long enough to affect the start.
     pub fn disturbs(self) -> bool {
         self.by_host > TAKEN_BY_HOST || self.by_others > TAKEN_BY_OTHERS
     }
@@ -47,7 +47,7 @@ impl Taken {
     }
 }
 
-/// Sorted by the instant of the start, in nanoseconds.
+/// The time taken away around each start. The key is the instant of the start in nanoseconds.
 type All = Arc<Mutex<BTreeMap<i64, Taken>>>;
 
 /// A control group of this program and its children, which separates their time from that of others. Removed on drop.
@@ -71,14 +71,14 @@ impl Drop for Group {
     }
 }
 
-/// Threads that end on drop.
+/// Threads, one per core, that detect whether their core is taken away. They end on drop.
 pub struct Witness {
     threads: Vec<Sender<i64>>,
     taken: All,
 }
 
 impl Witness {
-    /// Starts the threads; `None` if they may not run before all others, or if the kernel does not report the time per core.
+    /// Starts the threads; `None` if they may not have the highest priority, or if the kernel does not report the time per core.
     pub fn start(group: &Group) -> Option<Self> {
         let cores = std::thread::available_parallelism().map_or(1, Into::into);
         let taken = All::default();
@@ -98,12 +98,12 @@ impl Witness {
         Some(Self { threads, taken })
     }
 
-    /// Observes an instant, given in nanoseconds of the system's clock.
+    /// Makes the threads observe the time around `start`, in nanoseconds of the system clock.
     pub fn attend(&self, start: i64) {
         self.threads.iter().for_each(|thread| thread.send(start).unwrap());
     }
 
-    /// The time taken away around a start.
+    /// Returns the time for which a core was taken away around `start`.
     pub fn taken_at(&self, start: i64) -> Taken {
         let taken = self.taken.lock().unwrap();
         taken
@@ -128,7 +128,8 @@ fn watch(account: &Account, told: &Receiver<i64>, all: &All) {
     }
 }
 
-/// The counters are not read at the same instant, so a difference may be slightly negative.
+/// Converts a difference of counters to a duration. It may be slightly negative, because the counters are not read at the same instant;
+/// the result is then zero.
 fn positive(nanos: i64) -> Duration {
     Duration::from_nanos(u64::try_from(nanos).unwrap_or(0))
 }
@@ -137,7 +138,7 @@ fn sleep_until(instant: i64) {
     std::thread::sleep(Duration::from_nanos(u64::try_from(instant - epoch_nanos()).unwrap_or(0)));
 }
 
-/// Counters of the time that the kernel gave to a core.
+/// The kernel's counters of the time that a core spent in threads and in idling.
 struct Account {
     core: usize,
     /// CPU time of threads per core, in nanoseconds: of all threads, and of this program and its children.
@@ -147,16 +148,17 @@ struct Account {
     idle: Vec<File>,
 }
 
-/// Nanoseconds since some instant.
+/// One reading of the counters, in nanoseconds since an arbitrary instant.
 struct Look {
-    /// Time that is not accounted for.
+    /// Time that the core spent neither in threads nor in idling.
     missing: i64,
-    /// CPU time of threads that are not ours.
+    /// CPU time of threads outside this program and its children.
     others: i64,
 }
 
 impl Account {
-    /// For the core of the calling thread. On other cores, the current time slice is not accounted for yet.
+    /// Opens the counters of `core`; `None` if the kernel lacks one. Only a thread on `core` should read them: for other cores, the
+    /// counters do not yet include the current time slice.
     fn of(core: usize, group: &Group) -> Option<Self> {
         let used = |group: &Path| File::open(group.join("cpuacct.usage_percpu")).ok();
         let state =
@@ -182,14 +184,15 @@ fn read(file: &File) -> String {
     String::from_utf8_lossy(&text[..length]).into_owned()
 }
 
-/// Keeps this thread on one core.
+/// Makes the calling thread run only on `core`.
 pub fn stay_on(core: usize) {
     let mut cores = rustix::thread::CpuSet::new();
     cores.set(core);
     rustix::thread::sched_setaffinity(None, &cores).unwrap();
 }
 
-/// Requests that this thread runs before all of lower priority. Returns whether that was granted.
+/// Requests real-time scheduling, so that the calling thread runs before all threads of lower priority. Returns whether the kernel
+/// granted the request.
 pub fn become_first(priority: u32) -> bool {
     let mut attributes = uapi::sched_getattr(0, 0).unwrap();
     attributes.sched_policy = uapi::c::SCHED_FIFO.unsigned_abs();

@@ -1,5 +1,5 @@
-//! Any text as a control request. A valid request survives writing and reading unchanged, with one text and one hash, and a robot that
-//! receives it keeps its invariants.
+//! Parses any text as a control request. If a valid request is written and read again, the request, its text and its hash are unchanged.
+//! A robot that receives the request keeps its invariants.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,13 +1,13 @@
-//! Any bytes, cut anywhere, through the decoder: the messages do not depend on the cuts, the decoder buffers at most one message and a
-//! push, and each message survives writing and reading in either encoding.
+//! Decodes any bytes, pushed in chunks of any size. The messages do not depend on the chunks. The decoder buffers at most one message and
+//! one chunk. Each message is unchanged if it is written and read again in either encoding.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
 use urrcp::{DecodeError, Decoder, Encoding, Message, encode_as};
 
-/// Short, so that longer lines are common.
+/// Maximum length of a message in bytes. It is short, so that overlong lines are common.
 const LIMIT: usize = 1_024;
-/// Bytes before a frame's payload.
+/// Number of bytes before a frame's payload.
 const HEAD: usize = 5;
 
 fn drain(decoder: &mut Decoder, read: &mut Vec<Result<Message, DecodeError>>) {

@@ -1,4 +1,4 @@
-//! Any text as an expression: as a number, a time, a truth value, the value of a variable and a formula.
+//! Parses any text as each kind of expression: a number, a time, a truth value, the value of a variable and a formula.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

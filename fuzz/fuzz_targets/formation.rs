@@ -1,4 +1,4 @@
-//! A byte that selects a format, and bytes as a formation file: PLY, STL, CSV or SVG.
+//! Reads any bytes as a formation file. The first byte selects the format of the others: PLY, STL, CSV or SVG.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

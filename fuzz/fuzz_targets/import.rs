@@ -1,7 +1,7 @@
-//! Any bytes as a file of any format that can be imported, selected by the first byte: no panic, no hang, bounded memory; there is a
-//! choreography exactly if there are no findings, and its values are finite and in order.
+//! Imports any bytes as a file of any supported format, which the first byte selects. The importer does not panic or hang, and its memory
+//! is bounded. It returns a choreography exactly if it has no findings. The values of the choreography are finite and in order of time.
 //!
-//! With `DOWNBEAT_FORMAT`, all bytes are a file of that format.
+//! If the environment variable `DOWNBEAT_FORMAT` names a format, all bytes are a file of that format.
 #![no_main]
 
 use std::sync::LazyLock;

@@ -1,5 +1,5 @@
-//! Any text as an initialization block. A valid block keeps the protocol's limits, survives writing and reading unchanged, and makes a
-//! robot whose devices can all be driven.
+//! Parses any text as an initialization block (a robot's description). A valid block keeps the protocol's limits and is unchanged if it
+//! is written and read again. All devices of a robot with this block can be driven.
 #![no_main]
 
 use std::collections::HashSet;

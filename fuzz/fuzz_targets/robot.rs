@@ -1,4 +1,5 @@
-//! Any bytes as a list of events for a robot: messages, silence, broken links, late wake-ups. The robot keeps its invariants.
+//! Converts any bytes to a list of events for a robot: messages, silence, broken links, late wake-ups. The robot keeps its invariants in
+//! all of them.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,5 +1,6 @@
-//! Any text as a scenario for a small fleet; the text after a line `%%` is the file `a.yaml`, which the scenario can include: no panic,
-//! no hang, bounded memory; findings refer to places in the text, and there is a choreography exactly if there is no error.
+//! Compiles any text as a scenario for a small fleet. The text after a line `%%` is the file `a.yaml`, which the scenario can include.
+//! The compiler does not panic or hang, and its memory is bounded. Its findings refer to places in the text. It returns a choreography
+//! exactly if there is no error.
 #![no_main]
 
 use std::path::Path;
@@ -11,7 +12,7 @@ use downbeat_scripts::{
 };
 use libfuzzer_sys::fuzz_target;
 
-/// The bodies of these drones move in formations.
+/// The description of a drone with a position in three dimensions, so that it can move in formations.
 const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
   {"id": "x", "name": "x", "default_value": 0, "interpolation": "linear", "available_control_types": {
      "position": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
@@ -23,7 +24,7 @@ const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
      "position": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
      "script": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_number_of_steps": 256}}}]}"#;
 
-/// A drone that is `along` metres along x.
+/// Returns a drone whose home position is `along` metres along x.
 fn drone(name: &str, along: f64) -> FleetRobot {
     let mut init: urrcp::InitializationBlock = serde_json::from_str(DRONE).unwrap();
     init.id = urrcp::RobotId::new(name).unwrap();
@@ -40,7 +41,7 @@ fn drone(name: &str, along: f64) -> FleetRobot {
     FleetRobot { body: Some(body), ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
 }
 
-/// The robots of the scenarios in `tests/sessions/findings`, which are seeds, and four drones.
+/// The robots that the seed scenarios in `tests/sessions/findings` use, and four drones.
 static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/sessions/findings/folder/fleet.yaml");
     let mut fleet = read_fleet(&path).0.unwrap();
@@ -51,7 +52,7 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     fleet
 });
 
-/// Provides the only included file.
+/// Provides the text of `a.yaml`, the only file that a scenario can include.
 struct Included<'t>(&'t str);
 
 impl Files for Included<'_> {

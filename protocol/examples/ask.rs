@@ -38,7 +38,7 @@ impl Robot {
     }
 }
 
-/// A request that moves the first movable device to the middle of its range; `None` if no device can be moved.
+/// Returns a request that moves the first movable device to the middle of its range; `None` if no device can be moved.
 fn to_the_middle(block: &InitializationBlock) -> Option<ControlRequest> {
     let middle = |limits: &Limits| limits.nearest(f64::midpoint(limits.min_value, limits.max_value));
     block.devices.iter().find_map(|device| {

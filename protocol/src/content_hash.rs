@@ -1,4 +1,4 @@
-//! The hash that ensures that a robot executes exactly the content that was checked.
+//! The hash of a command's values. It ensures that a robot executes exactly the values that the server checked.
 
 use std::fmt;
 
@@ -73,7 +73,7 @@ impl<'de> Deserialize<'de> for ContentHash {
     }
 }
 
-/// Deserializes a hash from hexadecimal digits or from raw bytes.
+/// A visitor that deserializes a hash from hexadecimal digits or from raw bytes.
 struct Digits;
 
 impl de::Visitor<'_> for Digits {
@@ -103,8 +103,8 @@ fn parse(text: &str) -> Option<ContentHash> {
     Some(ContentHash(bytes))
 }
 
-/// The value of a hexadecimal digit. Uses a table, because a branch between digits and letters is unpredictable and a misprediction is
-/// expensive.
+/// Returns the value of a hexadecimal digit; `None` for other bytes. Uses a table, because a branch between digits and letters is
+/// unpredictable and a misprediction is expensive.
 fn digit(letter: u8) -> Option<u8> {
     const NONE: u8 = 0xff;
     const VALUES: [u8; 256] = {

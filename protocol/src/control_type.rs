@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::LimitError;
 
-/// The kind of value by which a command drives a device.
+/// The kind of value with which a command drives or reads a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ControlType {
     /// The values are positions.
@@ -16,11 +16,11 @@ pub enum ControlType {
     Speed,
     /// The values are accelerations.
     Acceleration,
-    /// A script: a sequence of values of other control types in one command.
+    /// The values are the steps of a script: a timed sequence of values of other control types.
     Script,
-    /// A request for a sensor reading, which moves nothing.
+    /// The command requests a sensor reading and moves nothing.
     Sensor,
-    /// The control type `custom_N`, whose meaning the robot defines. Contains N.
+    /// The control type `custom_N`, whose meaning the robot defines. The number is N.
     Custom(u32),
 }
 
@@ -54,7 +54,8 @@ impl FromStr for ControlType {
     }
 }
 
-/// The number N in `custom_N`; `None` if the number is not in canonical form, for example with leading zeros.
+/// Returns the number N of the name `custom_N`; `None` for other names and if the number is not in canonical form, for example with
+/// leading zeros.
 fn custom_number(name: &str) -> Option<u32> {
     let digits = name.strip_prefix("custom_")?;
     let number: u32 = digits.parse().ok()?;
@@ -88,7 +89,7 @@ impl<'de> Deserialize<'de> for ControlType {
 /// A control type in the short form of a script step: the index in `NUMBERED`, or the name if it is not listed there.
 pub(crate) struct Short(pub(crate) ControlType);
 
-/// The control types that a number can stand for; the number is the index.
+/// The control types that the short form of a step represents by a number: the index in this list.
 const NUMBERED: [ControlType; 3] = [ControlType::Position, ControlType::Speed, ControlType::Acceleration];
 
 impl Serialize for Short {

@@ -32,7 +32,7 @@ macro_rules! error_codes {
         #[non_exhaustive]
         pub enum ErrorCode {
             $($(#[$doc])* $variant,)*
-            /// A code that this version does not know.
+            /// A code that this version of the protocol does not know.
             Other(Label),
         }
 

@@ -28,7 +28,8 @@ impl<T> OpenRequests<T> {
         }
     }
 
-    /// The open request that `response` belongs to. The request stays open for further responses until [`OpenRequests::close`].
+    /// Returns the open request that `response` belongs to; `None` if there is no such request. The request stays open for further
+    /// responses until [`OpenRequests::close`].
     #[must_use]
     pub fn find(&self, response: &ControlResponse) -> Option<(&RequestId, &T)> {
         match &response.request_id {
@@ -40,7 +41,7 @@ impl<T> OpenRequests<T> {
         }
     }
 
-    /// Removes a request that awaits no further responses, and returns its note.
+    /// Removes a request that awaits no further responses. Returns its note; `None` if the request is not open.
     pub fn close(&mut self, device_id: &DeviceId, request_id: &RequestId) -> Option<T> {
         if let Some(queue) = self.oldest.get_mut(device_id) {
             queue.retain(|id| id != request_id);

@@ -1,4 +1,4 @@
-//! The limits of the protocol, and the error for a value that exceeds one.
+//! The limits of the protocol, and the error for a value that exceeds a limit.
 
 use thiserror::Error;
 
@@ -6,26 +6,27 @@ use thiserror::Error;
 pub const STRING_CHARS_MAX: usize = 256;
 /// Largest number of devices in an initialization block (paper, step 4). The smallest number is 1.
 pub const DEVICES_MAX: usize = 32_000;
-/// Largest number of input parameters `control_value`, `control_value_2` ... of one command (ours).
+/// Largest number of values `control_value`, `control_value_2` ... of one command (our limit, not in the paper).
 pub const CONTROL_VALUES_MAX: usize = 256;
-/// Largest number of values in the parameters of one custom control type (ours).
+/// Largest number of values in the parameters of one custom control type (our limit, not in the paper).
 pub const PARAMETERS_MAX: usize = 4_096;
-/// Largest number of values in the parameters of all custom control types of one robot (ours). Each dictionary itself also counts as a
-/// value.
+/// Largest total number of values in the parameters of a robot's custom control types (our limit, not in the paper). Each dictionary
+/// itself also counts as a value.
 pub const ROBOT_PARAMETERS_MAX: usize = 262_144;
-/// Largest number of encodings that a robot lists (ours).
+/// Largest number of encodings that a robot lists (our limit, not in the paper).
 pub const ENCODINGS_MAX: usize = 64;
-/// Largest number of steps in one script (ours): about as many as a line of [`LINE_BYTES_MAX`] can contain. The limit also applies to
-/// frames, whose steps are shorter, so that the decoded script takes no more memory.
+/// Largest number of steps in one script (our limit, not in the paper). A line of [`LINE_BYTES_MAX`] bytes can contain about as many
+/// steps. The limit also applies to frames, whose steps are shorter, so that scripts from frames take no more memory.
 pub const SCRIPT_STEPS_MAX: usize = 262_144;
-/// Largest number of requests in one inquiry, and of devices in one inquiry (ours). It equals the maximum number of devices of a robot.
+/// Largest number of requests in one inquiry, and of devices in one inquiry (our limit, not in the paper). It equals the maximum number
+/// of devices of a robot.
 pub const INQUIRY_NAMES_MAX: usize = DEVICES_MAX;
-/// Length in bytes of the longest line that a decoder accepts by default (ours): 16 MiB.
+/// Length in bytes of the longest line that a decoder accepts by default (our limit, not in the paper): 16 MiB.
 pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
+/// Largest offset or period in milliseconds (our limit, not in the paper): 1e11 ms, a little over three years.
 pub const OFFSET_MS_MAX: f64 = 1e11;
 
-/// Largest actuation latency of a device, and largest spread of a latency, in milliseconds (ours).
+/// Largest actuation latency of a device, and largest spread of a latency, in milliseconds (our limit, not in the paper).
 pub const LATENCY_MS_MAX: f64 = 10_000.0;
 
 /// The error for a value that is outside the limits of the protocol.

@@ -1,4 +1,4 @@
-//! Serialization of numbers: they are finite, and integers are written without a fraction.
+//! Serializes and deserializes numbers. They are finite, and integers are written without a fraction.
 
 use std::fmt;
 
@@ -22,12 +22,12 @@ pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::
     serializer.serialize_f64(*value)
 }
 
-/// Deserializes any number that is finite as a double.
+/// Deserializes a number; an error if it is not finite as a double.
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Number::deserialize(deserializer).map(|number| number.0)
 }
 
-/// A finite number that is serialized as its only canonical text.
+/// A finite number, which is serialized in its canonical form.
 #[derive(Clone, Copy)]
 pub(crate) struct Number(pub(crate) f64);
 

@@ -1,4 +1,4 @@
-//! Deserialization from objects only: a derived `Deserialize` would also accept a list of the fields' values.
+//! Deserializes structs from objects only. A derived `Deserialize` would also accept a list of the fields' values.
 
 use std::fmt;
 use std::marker::PhantomData;

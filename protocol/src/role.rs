@@ -1,4 +1,4 @@
-//! The permissions of an operator, and those that a message requires.
+//! The permissions of an operator, and the permissions that a message requires.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -12,7 +12,7 @@ use crate::text::Label;
 pub enum Role {
     /// Permission to query descriptions, availability, sensor readings and the states of requests.
     Observe,
-    /// Permission to start missions: to claim free robots and send them commands.
+    /// Permission to start missions, that is, to claim free robots and to send them commands.
     Drive,
     /// Permission to stop any robot, regardless of the session that it belongs to.
     Stop,
@@ -35,9 +35,9 @@ impl Role {
         }
     }
 
-    /// The roles that permit sending `message` to a robot; any one of them is enough. Sensor readings and queries without a session need
-    /// [`Role::Observe`]. Messages that claim or move a robot need [`Role::Drive`]. A message that seizes a robot additionally needs
-    /// [`Role::Seize`].
+    /// Returns the roles that permit sending `message` to a robot; any one of them is enough. Sensor readings and queries without a
+    /// session need [`Role::Observe`]. Messages that claim or move a robot need [`Role::Drive`]. A message that seizes a robot
+    /// additionally needs [`Role::Seize`].
     #[must_use]
     pub fn needed_for(message: &Message) -> &'static [Self] {
         match message {
@@ -51,7 +51,7 @@ impl Role {
         }
     }
 
-    /// The roles that permit sending `request` to a robot; any one of them is enough.
+    /// Returns the roles that permit sending `request` to a robot; any one of them is enough.
     #[must_use]
     pub fn needed_for_request(request: &ControlRequest) -> &'static [Self] {
         match &request.command {
@@ -107,7 +107,7 @@ impl fmt::Display for Roles {
     }
 }
 
-/// The proven identity and permissions of a peer.
+/// The identity and the permissions that a peer has proven.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Proof {
     /// The peer's name.

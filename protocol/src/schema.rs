@@ -19,7 +19,7 @@ use crate::message::{
 use crate::text::{DeviceId, Label, RequestId, RobotId, SessionId};
 use crate::time::{Millis, Timestamp};
 
-/// The JSON Schema of all messages; `$defs` contains the schema of each.
+/// Returns the JSON Schema of all messages; `$defs` contains the schema of each message.
 ///
 /// ```
 /// let schema = urrcp::message_schema();
@@ -200,13 +200,13 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
 struct ControlRequestKeys {
-    /// When the server sent the request. All requests of one act have the same timestamp.
+    /// When the server sent the request. All requests of one act (a part of a show whose robots start together) have the same timestamp.
     timestamp: Option<Timestamp<crate::time::Server>>,
     /// Milliseconds from `timestamp` to the start. If it is omitted, the command starts on receipt.
     time_offset_to_start: Option<Millis>,
     /// The id of the device that the request addresses.
     device_id: DeviceId,
-    /// The lease of the command. If it is omitted, the command has no lease.
+    /// The lease of the command: how long the server may be silent before the device stops. If it is omitted, the silence is unlimited.
     stop_condition: Option<StopCondition>,
     /// The instant by the robot's clock at which the robot drops the command if it has not started.
     pending_until: Option<Timestamp<crate::time::Robot>>,
@@ -214,11 +214,11 @@ struct ControlRequestKeys {
     request_id: Option<RequestId>,
     /// The hash of `control_value`, which the robot checks and repeats in its response.
     content_hash: Option<ContentHash>,
-    /// The session of the sender.
+    /// The session (one run of a scheduler) of the sender.
     session: Option<SessionId>,
     /// With an empty script: whether the device goes to its default state instead of coming to rest where it is.
     home: Option<bool>,
-    /// One of the control types of the device. The robot treats an unknown name like a control type that the device lacks.
+    /// The name of one of the device's control types. The robot treats an unknown name like a control type that the device lacks.
     control_type: Label,
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::{LimitError, STRING_CHARS_MAX};
 
-/// Shortens a text for people to the protocol's maximum string length. A text that is cut ends with `…`.
+/// Shortens a text for people to the protocol's maximum string length. A shortened text ends with `…`.
 pub(crate) fn shortened(text: &str) -> String {
     match text.char_indices().nth(STRING_CHARS_MAX - 1) {
         Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
@@ -131,7 +131,7 @@ bounded_string!(
     check_identifier
 );
 bounded_string!(
-    /// A text for people, or a word whose meaning only the peer knows.
+    /// A text for people, or a protocol word that this version does not know.
     Label,
     check_length
 );

@@ -1,4 +1,5 @@
-//! Instants, spans and offsets. The type of an instant contains its clock, so that instants of different clocks cannot be mixed.
+//! Instants, spans (signed durations) and offsets. The type of an instant names its clock, so that instants of different clocks cannot be
+//! mixed.
 //!
 //! ```compile_fail
 //! use urrcp::{Robot, Server, Span, Timestamp};
@@ -56,7 +57,7 @@ impl Span {
         Self(millis.saturating_mul(1_000_000))
     }
 
-    /// Creates a span from fractional milliseconds, rounded to the nearest nanosecond; saturating, and zero for NaN.
+    /// Creates a span from fractional milliseconds, rounded to the nearest nanosecond. Saturates if it is out of range; NaN gives zero.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "`as` saturates and maps NaN to 0")]
     #[expect(clippy::cast_precision_loss, reason = "what was a whole f64 is one again")]
@@ -81,7 +82,7 @@ impl Span {
         self.0 as f64 / 1e6
     }
 
-    /// The absolute value.
+    /// Returns the absolute value of the span.
     #[must_use]
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())
@@ -158,14 +159,14 @@ fn rounded(value: f64) -> f64 {
 }
 
 impl Serialize for Span {
-    /// Serializes as milliseconds.
+    /// Serializes the span as a number of milliseconds.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         number::serialize(&self.as_millis_f64(), serializer)
     }
 }
 
 impl<'de> Deserialize<'de> for Span {
-    /// Deserializes from milliseconds.
+    /// Deserializes a span from a number of milliseconds.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         number::deserialize(deserializer).map(Self::from_millis_f64)
     }
@@ -239,7 +240,7 @@ impl<C> fmt::Debug for Timestamp<C> {
 }
 
 impl<C> fmt::Display for Timestamp<C> {
-    /// Formats as RFC 3339 in UTC with nine fractional digits.
+    /// Formats the instant as RFC 3339 in UTC with nine fractional digits.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let utc: DateTime<Utc> = DateTime::from_timestamp_nanos(self.nanos);
         f.pad(&utc.to_rfc3339_opts(SecondsFormat::Nanos, true))
@@ -268,7 +269,7 @@ impl<C> Sub for Timestamp<C> {
 }
 
 impl<C> Serialize for Timestamp<C> {
-    /// Serializes as RFC 3339, or in a binary encoding as nanoseconds since the Unix epoch.
+    /// Serializes the instant: as RFC 3339 or, in a binary encoding, as nanoseconds since the Unix epoch.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
             serializer.collect_str(self)
@@ -321,7 +322,7 @@ impl Millis {
     /// Zero duration.
     pub const ZERO: Self = Self(0.0);
 
-    /// Checks a number of milliseconds.
+    /// Creates a number of milliseconds.
     ///
     /// # Errors
     /// [`LimitError::OffsetOutOfRange`] if it is negative, not finite or exceeds [`OFFSET_MS_MAX`].
@@ -333,7 +334,7 @@ impl Millis {
         }
     }
 
-    /// Converts a span, clamped to the range of the wire.
+    /// Converts a span to milliseconds, clamped to the range that the protocol permits.
     #[must_use]
     pub fn from_span(span: Span) -> Self {
         Self(span.as_millis_f64().clamp(0.0, OFFSET_MS_MAX))
@@ -345,7 +346,7 @@ impl Millis {
         self.0
     }
 
-    /// Converts to a span, rounded to the nearest nanosecond.
+    /// Converts the milliseconds to a span, rounded to the nearest nanosecond.
     #[must_use]
     pub fn span(self) -> Span {
         Span::from_millis_f64(self.0)

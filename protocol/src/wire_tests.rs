@@ -468,7 +468,7 @@ fn a_content_hash_depends_on_the_steps_alone() {
     assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
 }
 
-/// Encodes and decodes a message, and returns the result.
+/// Encodes a message and decodes it again. Returns the decoded message.
 fn through(encoding: Encoding, message: &Message) -> Message {
     let mut bytes = Vec::new();
     encode_as(encoding, message, &mut bytes);
@@ -537,7 +537,7 @@ mod schema {
 
     use super::*;
 
-    /// Collects the keys of a message that the schema does not list in the corresponding object. Ignores the keys of control values,
+    /// Collects in `found` the keys of a message that the schema does not list for their object. Ignores the keys of control values,
     /// which the schema lists separately, and the keys of a `custom_N`, which its robot defines.
     fn unlisted(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<String>) {
         if let Some(reference) = schema["$ref"].as_str() {

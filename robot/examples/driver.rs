@@ -1,4 +1,4 @@
-//! A driver as a template: its hardware is behind a socket, takes one line per command, and answers each command with one line.
+//! Template for a driver of hardware behind a socket. The hardware takes one line per command, and answers each command with one line.
 //!
 //! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs the driver behind a robot on port 7401.
 
@@ -14,7 +14,7 @@ use downbeat_robot::{HostOptions, Hosted, run};
 /// Time limit for the hardware's answer. A driver may wait for its hardware, but not forever.
 const ANSWER_WITHIN: Duration = Duration::from_millis(500);
 
-/// Driver for hardware at an address, and the connection to it, if any.
+/// Driver for hardware that is reached over the network: the hardware's address, and the open connection, if any.
 struct LineDriver {
     address: String,
     connection: Option<BufReader<TcpStream>>,
@@ -71,7 +71,7 @@ impl Driver for LineDriver {
     }
 }
 
-/// Returns a robot with this description whose hardware is at an address.
+/// Returns a robot with the given JSON description. Its hardware is reached at `address`.
 pub fn robot(description: &str, address: String) -> Result<Hosted, serde_json::Error> {
     let block: InitializationBlock = serde_json::from_str(description)?;
     let driver = LineDriver { address, connection: None };

@@ -1,4 +1,4 @@
-//! A robot's machine alone, without threads and without a clock: plays a script of three steps in virtual time.
+//! Runs only the state machine of a robot, without threads or a clock: plays a script of three steps in virtual time.
 //!
 //! `cargo run --example machine --no-default-features`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]

@@ -1,4 +1,4 @@
-//! A complete robot as a template: one joint, reachable over TCP. Replace `println!` with the code that moves your motor.
+//! Template for a complete robot with one joint, reachable over TCP. Replace `println!` with the code that moves your motor.
 //!
 //! Run `cargo run --example robot`, and then `downbeat conformance tcp://127.0.0.1:7401 --device elbow`.
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -45,7 +45,7 @@ impl Driver for Motor {
     }
 }
 
-/// Returns the robot with the driver of its motor.
+/// Returns the robot, including the driver of its motor.
 pub fn arm() -> Result<Hosted, LimitError> {
     Ok(Hosted::driven(description()?, Box::new(Motor), DriverOptions::default()))
 }

@@ -1,5 +1,5 @@
-//! Keeps a robot's last answer to each request. A repeated request gets this answer without being executed again; an inquiry about a
-//! request reports it.
+//! Keeps a robot's last answer to each request. A repeated request gets this answer without being executed again; the response to an
+//! inquiry about a request contains it.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -24,11 +24,11 @@ pub(crate) struct Answers {
 pub(crate) struct Known {
     /// The robot's last answer to the request.
     pub(crate) answer: ControlResponse,
-    /// Hash of the request's content, as accepted.
+    /// Hash of the request's content, as in the robot's first answer. `None` if that answer contained no hash.
     pub(crate) content_hash: Option<ContentHash>,
-    /// Planned start of the command on the robot's clock.
+    /// Planned start of the command on the robot's clock. `None`: the request was not accepted.
     pub(crate) start: Option<Timestamp<Robot>>,
-    /// Actual start of the command on the robot's clock.
+    /// Actual start of the command on the robot's clock. `None`: the command has not started.
     pub(crate) began: Option<Timestamp<Robot>>,
 }
 
@@ -74,7 +74,8 @@ impl Answers {
         }
     }
 
-    /// Records that the request `latest` has ended. Above the limit, drops the answer to the request that ended first.
+    /// Records that the request `latest` has ended. If more answers than the limit are kept, drops the answer to the request that ended
+    /// first.
     fn forget_oldest(&mut self, latest: &RequestId) {
         self.ended.push_back(latest.clone());
         if self.ended.len() > self.kept {

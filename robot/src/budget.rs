@@ -1,5 +1,5 @@
 //! Budgets of a peer for bytes, messages and reading time. If a peer exceeds its budget, its messages are read more slowly, so that the
-//! network holds back the rest.
+//! network delays the remaining ones.
 #![expect(clippy::disallowed_methods, reason = "budgets fill up in real time")]
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -40,19 +40,19 @@ impl Bucket {
         self.level -= tokens;
     }
 
-    /// Returns the time until the bucket contains tokens again.
+    /// Returns the time until the debt of an overdrawn bucket is paid; otherwise zero.
     fn empty_for(&mut self, now: Instant) -> Duration {
         self.fill(now);
         Duration::from_secs_f64((-self.level).max(0.0) / self.rate.per_second)
     }
 }
 
-/// Budget of a peer with a given standing.
+/// Rates of one peer's budget, which depend on whether the peer's session owns the robot.
 #[derive(Clone, Copy, Debug)]
 struct Share {
     bytes: Rate,
     messages: Rate,
-    /// Reading time, in seconds per second.
+    /// Time for reading the peer's messages, in seconds per second.
     reading: Rate,
 }
 
@@ -83,10 +83,10 @@ const fn share_of(standing: Standing) -> Share {
     }
 }
 
-/// Budget that all strangers of a host share: messages, and reading time. The first [`FIRST_MESSAGES`] messages of each stranger are not
-/// charged to it.
+/// Budget that all strangers (peers that own no robot of the host) share: messages, and reading time in seconds. The first
+/// [`FIRST_MESSAGES`] messages of each stranger are not charged to it.
 const ALL_STRANGERS: (Rate, Rate) = (rate(200.0, 400.0), rate(0.05, 0.2));
-/// Number of a stranger's first messages that are charged only to its own budget. A newcomer is therefore served even if many others
+/// Number of a stranger's first messages that are charged only to its own budget. A new stranger is therefore served even if many others
 /// send.
 const FIRST_MESSAGES: u64 = 16;
 
@@ -112,7 +112,7 @@ impl Budget {
         }
     }
 
-    /// Resets the budget to that of `standing` if the peer's standing towards the robot has changed.
+    /// Resets the budget to that of `standing` if the peer's relation to the robot (owner, free or stranger) has changed.
     pub(crate) fn follow(&mut self, now: Instant, standing: Standing) {
         if self.standing != standing {
             *self = Self { heard: self.heard, ..Self::new(now, standing) };
@@ -123,8 +123,8 @@ impl Budget {
         self.bytes.take(now, tokens(bytes));
     }
 
-    /// Charges the budget for a message or an unreadable line whose reading took `took`. `answer` is the length of a long answer in
-    /// bytes; sending a byte costs less than reading one.
+    /// Charges the budget for a message or an unreadable line whose reading took `took`. `answer` is the length of the answer in bytes,
+    /// if it is long; sending a byte costs less than reading one.
     pub(crate) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
         self.heard += 1;
         self.messages.take(now, 1.0);
@@ -135,7 +135,7 @@ impl Budget {
         }
     }
 
-    /// Returns how long reading from this peer must pause.
+    /// Returns how long the host must not read from this peer. Zero if the peer is within its budget.
     pub(crate) fn pause(&mut self, now: Instant, strangers: &Strangers) -> Duration {
         let own =
             [&mut self.bytes, &mut self.messages, &mut self.reading].map(|bucket| bucket.empty_for(now));
@@ -153,8 +153,8 @@ fn tokens(bytes: usize) -> f64 {
     bytes as f64
 }
 
-/// Maximum number of long lines that a host reads at a time for robots that belong to no session: each line occupies memory until its
-/// last byte.
+/// Maximum number of long lines that a host reads at a time for robots that belong to no session. A limit is necessary because each line
+/// occupies memory until its last byte is read.
 const LONG_LINES: usize = 2;
 
 /// Budget shared by all peers that own none of the host's robots. Their messages are read one at a time.
@@ -185,14 +185,13 @@ impl Strangers {
         self.turn.acquire().await.ok()
     }
 
-    /// Returns how many more long lines may be read at the same time.
+    /// Returns how many long lines may be read in addition to those that are being read.
     #[cfg(test)]
     pub(crate) fn long_lines_left(&self) -> usize {
         self.long_lines.available_permits()
     }
 
-    /// Waits for permission to send a long line to a robot that belongs to no session. Returns `None` if none is granted within
-    /// `patience`.
+    /// Waits until a long line may be read for a robot that belongs to no session. Returns `None` if this takes longer than `patience`.
     pub(crate) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
         let leave = Arc::clone(&self.long_lines).acquire_owned();
         tokio::time::timeout(patience, leave).await.ok()?.ok()
@@ -235,7 +234,7 @@ mod tests {
         assert_eq!(bucket.empty_for(after(60_000)), Duration::from_millis(100));
     }
 
-    /// Returns the number of messages after which a peer with this standing has to pause.
+    /// Returns how many messages a peer with this standing can send before it has to pause.
     fn messages_until_pause(now: Instant, strangers: &Strangers, standing: Standing) -> usize {
         let mut budget = Budget::new(now, standing);
         (0..1_000_000)
@@ -272,12 +271,12 @@ mod tests {
 
     const STANDINGS: [Standing; 3] = [Standing::Owner, Standing::Free, Standing::Stranger];
 
-    /// Returns the bucket's capacity plus the tokens of ten seconds.
+    /// Returns the number of tokens that empties a full bucket and overdraws it by the tokens of ten seconds.
     fn beyond(rate: Rate) -> f64 {
         rate.most + 10.0 * rate.per_second
     }
 
-    /// Checks that a peer pauses for ten seconds after it has made the calls of `send`.
+    /// Checks that a peer must pause for ten seconds after `send` has charged its budget.
     #[track_caller]
     fn check_pause(standing: Standing, send: impl FnOnce(Instant, &mut Budget, &Share)) {
         let now = Instant::now();

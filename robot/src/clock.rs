@@ -1,5 +1,5 @@
-//! The host's clock: the system clock, continued by the monotonic clock, so that a step of the system clock does not move scheduled
-//! events. Robots access real clocks only through this module.
+//! The host's clock: starts at the time of the system clock, and then follows the monotonic clock. A later change of the system clock
+//! therefore does not move scheduled events. Robots access real clocks only through this module.
 #![expect(clippy::disallowed_methods, reason = "the door through which a robot's host reads the time")]
 
 use std::time::{Instant, SystemTime};
@@ -14,7 +14,7 @@ pub enum HostTime {}
 #[derive(Clone, Copy, Debug)]
 pub enum SystemClock {}
 
-/// A clock that shows the host's time.
+/// A clock that shows the time of a host and its robots.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
     instant: Instant,
@@ -22,7 +22,7 @@ pub struct HostClock {
 }
 
 impl HostClock {
-    /// Returns a clock that is anchored to the system clock now.
+    /// Returns a clock that is anchored now: from the current time of the system clock, it follows the monotonic clock.
     #[must_use]
     pub fn anchored() -> Self {
         let reading = || {
@@ -55,7 +55,7 @@ impl HostClock {
         Self { timestamp: self.timestamp + ahead, ..self }
     }
 
-    /// Returns the host's time at `instant`, which may be before the anchor.
+    /// Returns the host's time at `instant`, which may be before the clock was anchored.
     fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
         match instant.checked_duration_since(self.instant) {
             Some(after) => self.timestamp + Span::from(after),
@@ -63,7 +63,8 @@ impl HostClock {
         }
     }
 
-    /// Returns the monotonic instant that corresponds to a timestamp. A timestamp before the anchor maps to the anchor.
+    /// Returns the monotonic instant that corresponds to a timestamp. A timestamp before the clock was anchored maps to the instant at
+    /// which it was anchored.
     #[must_use]
     pub fn instant_of(&self, timestamp: Timestamp<HostTime>) -> Instant {
         self.instant + (timestamp - self.timestamp).to_duration()

@@ -1,4 +1,4 @@
-//! Reports about the end of commands that a robot sends only after its hardware has taken the last value.
+//! Delayed reports: a robot reports the end of a command only after its hardware has taken the last value.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use crate::ids::LinkId;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// A report that is sent once the hardware has confirmed the values.
+/// A message that is sent once the hardware has confirmed that it has taken the values.
 #[derive(Clone, Debug)]
 pub(crate) enum Said {
-    /// Report about the end of a command, and the time of that end.
+    /// Report about the end of a command, preceded by the time of that end.
     Report(Timestamp<Robot>, Effect),
     /// Response to a stop request.
     Answer(LinkId, ControlResponse),
@@ -44,7 +44,7 @@ impl Unconfirmed {
         self.waiting.remove(&ticket)
     }
 
-    /// Removes and returns the reports that wait for confirmation by the device with this index, because it will not confirm them.
+    /// Removes and returns the reports that wait for a confirmation of the device with this index, which will no longer come.
     pub(crate) fn give_up(&mut self, device: usize) -> Vec<Said> {
         let all = std::mem::take(&mut self.waiting).into_iter();
         let (given_up, left): (BTreeMap<_, _>, _) = all.partition(|(_, (of, _))| *of == device);

@@ -1,8 +1,8 @@
 //! State machine of one device: its queue of commands, its steps at absolute times, and how it comes to rest.
 //!
 //! Order of events at one instant:
-//! 1. Leases end: those of running commands before those of pending ones. The lease that would hold after a start or step due at that
-//!    instant counts. A lease that ends exactly at a start therefore wins, and nothing starts.
+//! 1. Leases end: those of running commands before those of pending ones. For a start or step that is due at that instant, the lease that
+//!    would apply afterwards counts. If a lease ends exactly at a start, nothing starts.
 //! 2. Starts and steps in the order of the queue: first a command that ends at that instant, then commands of zero length, then a script
 //!    that starts at that instant.
 //! 3. (In `robot`) the arrival of a message.
@@ -28,7 +28,7 @@ use crate::tolerance::START_LATE_MAX;
 pub enum Motion {
     /// Set this value now.
     Set(Setpoint),
-    /// Move linearly so as to arrive at `until`. A `Set` of the value `to` follows.
+    /// Move linearly so as to arrive at `until`. A [`Motion::Set`] with the value `to` follows.
     Ramp {
         /// Position, speed or acceleration.
         control_type: ControlType,
@@ -41,7 +41,7 @@ pub enum Motion {
     },
     /// Come to rest, or move to the default state, within the limits that the device declares.
     Slow {
-        /// Control type of the signal that slows down.
+        /// Control type that slows down: position or speed.
         control_type: ControlType,
         /// Value at the start of the movement.
         from: f64,
@@ -113,13 +113,14 @@ pub(crate) enum Effect {
 /// Error message with code `link_lost` for a command whose `pending_until` has passed.
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
-/// Maximum time after receipt of a stop for which the stop cancels commands from its own party, whatever the stop's timestamp.
+/// Limit for a stop's timestamp that is ahead of the robot's clock. For commands of the stop's own sender, a timestamp further ahead
+/// counts as this far ahead.
 const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
-/// Like `TAKEN_BACK_AHEAD_MAX`, for commands from other parties: the maximum difference between synchronized clocks. With a larger value,
-/// a stop with a future timestamp could close the device to everyone.
+/// Like `TAKEN_BACK_AHEAD_MAX`, for commands of other senders. It is the maximum difference between synchronized clocks. With a larger
+/// value, a stop with a future timestamp could close the device to everyone.
 const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
 
-/// Rates that continue after the end of their command. That command's lease still covers them.
+/// Rates (such as speeds) that continue after the end of their command, and the command's lease, which still covers them.
 #[derive(Clone, Debug)]
 struct Guard {
     rates: Vec<ControlType>,
@@ -134,28 +135,29 @@ struct Guard {
 pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
-    /// Last value of each control type that was driven.
+    /// Last target value of each control type that a command has set.
     driven: BTreeMap<ControlType, Setpoint>,
     queue: VecDeque<Held>,
-    /// Guards of continuing rates, at most one per control type. A command that drives the rate takes it over.
+    /// Leases that still cover the rates of ended commands, at most one per control type. A new command that sets the rate replaces its
+    /// guard.
     guards: Vec<Guard>,
-    /// Sending time up to which a stop has cancelled all messages, including those that arrive later.
+    /// Sending time of a message: stops have cancelled all messages that were sent up to this time, even those that arrive later.
     taken_back: Option<Timestamp<Server>>,
-    /// Party of the last stop, and the sending time up to which the stop has cancelled this party's messages. This party's clock may be
+    /// Sender of the last stop, and the sending time up to which the stop has cancelled this sender's messages. The sender's clock may be
     /// ahead.
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
-    /// Whether the position signal holds the device's actual position.
+    /// Whether the signal of the control type `position` holds the device's actual position.
     ///
-    /// The position of hardware is unknown before its first report and after it was away. It also becomes unknown when a driver that
-    /// times scripts by itself interrupts one, and when a speed or an acceleration drives the device. A device without hardware starts in
-    /// its default state, if it has one.
+    /// The position of hardware is unknown before its first report and after a disconnection. It also becomes unknown when a driver that
+    /// times scripts by itself interrupts a script, and when a speed or an acceleration drives the device. A device without hardware
+    /// starts in its default state, if it has one.
     is_placed: bool,
-    /// How far ahead the driver receives scripts. `None` if the driver does not time scripts by itself; if it does, delays of this
-    /// machine do not delay the hardware.
+    /// How far ahead the driver receives scripts. `None` if the driver does not time scripts by itself. If it does, a delay of this state
+    /// machine does not delay the hardware.
     pub(crate) lookahead: Option<Lookahead>,
-    /// Maximum delay of a start. A command that would start later is dropped.
+    /// Maximum delay of a command's start. A command that would start with a longer delay is dropped.
     pub(crate) start_late_max: Span,
-    /// An operator's limits of movements to rest and to the default state, in addition to those that the device declares.
+    /// An operator's limits for movements to rest and to the default state, in addition to those that the device declares.
     pub(crate) limits: MotionLimits,
     accepted: CommandId,
 }
@@ -202,7 +204,7 @@ impl DeviceMachine {
         self.is_placed = false;
     }
 
-    /// Sets the position of the device without a command.
+    /// Records that the device is at this position, which no command has set.
     pub(crate) fn place(&mut self, position: f64) {
         if let Some(signal) = self.signals.get_mut(&ControlType::Position) {
             *signal = Signal::resting(position, Timestamp::from_nanos(0));
@@ -214,7 +216,7 @@ impl DeviceMachine {
         self.queue.is_empty() && self.guards.is_empty()
     }
 
-    /// Returns the parties whose leases apply to commands or rates of the device.
+    /// Returns the parties (the senders whose messages renew leases) of the device's commands and continuing rates.
     pub(crate) fn parties(&self) -> impl Iterator<Item = LinkId> + '_ {
         self.queue.iter().map(|held| held.link).chain(self.guards.iter().map(|guard| guard.lease.link))
     }
@@ -246,21 +248,21 @@ impl DeviceMachine {
         self.pending_lease_end(heard).into_iter().chain(self.running_lease_end(heard)).min()
     }
 
-    /// Returns the time of the first lease end among the pending commands.
+    /// Returns when the first lease of a pending command ends. `None` if no such lease ends.
     fn pending_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
         pending.filter_map(|held| held.lease_end(heard)).min()
     }
 
-    /// Returns the time of the first lease end among the running commands and continuing rates.
+    /// Returns when the first lease of a running command or a continuing rate ends. `None` if no such lease ends.
     fn running_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
         let running = self.queue.iter().filter(|held| held.began);
         running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
-    /// Executes everything due at or before `now`, in the order of the due times. One exception: an expired lease of a running command
-    /// comes first. Otherwise a delayed robot would now execute steps that were due before that end.
+    /// Executes everything due at or before `now`, in the order of the due times. The end of a running command's lease comes first.
+    /// Otherwise a delayed robot would now execute steps that were due before the lease ended.
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastMessages, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
@@ -319,7 +321,7 @@ impl DeviceMachine {
         self.ramp_to(held, index + 1, at, effects);
     }
 
-    /// Ends the lease of the previous command that drove the setpoint's control type.
+    /// Records that a new command drives the setpoint's control type. The lease of an ended command no longer covers this control type.
     fn take_over(&mut self, setpoint: &Setpoint) {
         let driven = setpoint.control_type;
         self.is_placed &= !matches!(driven, ControlType::Speed | ControlType::Acceleration);
@@ -330,7 +332,7 @@ impl DeviceMachine {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// Starts the linear movement to the step `index`, if the device moves linearly and the control type stays the same.
+    /// Starts the linear movement to the step `index`, if the device moves linearly and the previous step has the same control type.
     fn ramp_to(&mut self, held: &Held, index: usize, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let (Some(next), Some(until)) = (held.setpoint(index), held.time_of(index)) else { return };
         let before = index.checked_sub(1).and_then(|previous| held.setpoint(previous));
@@ -364,7 +366,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns the control types of speeds, accelerations and custom values that continue and are not at rest.
+    /// Returns the speeds, accelerations and custom values that are not at rest, by control type.
     fn rates_left_on(&self) -> impl Iterator<Item = ControlType> + '_ {
         let left_on = |(control_type, last): &(&ControlType, &Setpoint)| {
             rest_of(&self.spec, **control_type, Some(last)).is_some_and(|rest| rest != **last)
@@ -446,7 +448,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns the signal of a control type, whether it moves or rests.
+    /// Returns the current movement or constant value of a control type. `None` if the device lacks this control type.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, control_type: ControlType) -> Option<Signal> {
         self.signals.get(&control_type).copied()
@@ -472,7 +474,8 @@ impl DeviceMachine {
         self.queue.front().filter(|held| held.began)
     }
 
-    /// Limits the pending lease of the command that this party sent with this request id, that starts at `start` and has not started yet.
+    /// Limits the lease of a command that has not started. The command is identified by its request id, its start, and the party that
+    /// sent it.
     pub(crate) fn limit(&mut self, id: &RequestId, start: Timestamp<Robot>, party: LinkId, limit: Limit) {
         let first = self.queue.partition_point(|held| held.start < start);
         let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
@@ -482,7 +485,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Drops the waiting commands that start at `from` or later.
+    /// Drops the commands that have not started and whose start is `from` or later.
     pub(crate) fn cancel_from(
         &mut self,
         from: Timestamp<Robot>,
@@ -510,7 +513,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns the motion that brings a signal to rest, or `None` if the signal stays as it is.
+    /// Returns the motion that brings a signal (one control type) to rest, or `None` if the signal stays as it is.
     fn motion_to_rest(
         &mut self,
         control_type: ControlType,
@@ -566,7 +569,7 @@ impl DeviceMachine {
         tighter(largest(&self.spec, ControlType::Acceleration), self.limits.acceleration)
     }
 
-    /// Records a stop that `party` sent at `sent`: commands that were sent before the stop and arrive after it must not start. A stop
+    /// Records a stop that `party` sent at `sent`. Commands that were sent before the stop but arrive after it must not start. A stop
     /// with a future timestamp blocks the device only briefly: for other parties at most 250 ms, for its own party at most 5 s.
     pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>, party: LinkId) {
         let at_most = |ahead: Span| sent.min((now + ahead).assume_clock());
@@ -576,8 +579,8 @@ impl DeviceMachine {
         self.taken_back_by = own.map(|until| (party, until));
     }
 
-    /// Records that a session has claimed the free robot. Earlier stops then do not cancel what this session sends from now: strangers
-    /// may have stopped the free robot with future timestamps.
+    /// Records that a session has claimed the free robot. Earlier stops do not cancel messages that this session sends from now on,
+    /// because strangers may have stopped the free robot with future timestamps.
     pub(crate) fn claimed(&mut self, now: Timestamp<Robot>) {
         self.taken_back = self.taken_back.map(|until| until.min(now.assume_clock()));
     }
@@ -588,7 +591,7 @@ impl DeviceMachine {
         sent.is_some() && sent <= self.taken_back.max(own)
     }
 
-    /// Adds a command that starts at `start` to the queue. The caller has made all checks.
+    /// Checks a command that starts at `start`, and adds it to the queue.
     pub(crate) fn accept(
         &mut self,
         now: Timestamp<Robot>,
@@ -697,7 +700,7 @@ fn is_main_rate(spec: &Device, control_type: ControlType) -> bool {
         && spec.primary_control_type() == Some(control_type)
 }
 
-/// Returns the largest absolute value of a speed or acceleration that a device declares.
+/// Returns the largest absolute value that a device declares for a speed or an acceleration. `None` if it declares no limits.
 fn largest(spec: &Device, rate: ControlType) -> Option<f64> {
     let limits = spec.available_control_types.limits(rate)?;
     Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
@@ -708,7 +711,8 @@ fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
     declared.into_iter().chain(limit.filter(|limit| *limit > 0.0)).reduce(f64::min)
 }
 
-/// Returns the message for the end of a lease. If the robot woke up late, it may not have read messages that arrived in time.
+/// Returns the message for the end of a lease. If the robot woke up late, the message says so, because messages that arrived in time may
+/// not have been read.
 fn lease_message(lease: &str, late: Span) -> String {
     if late > START_LATE_MAX {
         format!("the {lease} lease ended while the robot was delayed: it woke up {late} later")

@@ -1,4 +1,4 @@
-//! An edge: a robot's machine with hardware around it. It uses the host's clock and reaches the hardware through a driver's mailbox.
+//! An edge: a robot's state machine with its hardware. It uses the host's clock and reaches the hardware through a driver's mailbox.
 
 use std::sync::Arc;
 
@@ -12,11 +12,11 @@ use crate::outgoing::Outgoing;
 use crate::robot::{Input, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
 
-/// A robot's machine and the way to its hardware.
+/// A robot's state machine, and the mailbox that leads to its hardware.
 pub(crate) struct Edge {
     machine: Robot,
     mailbox: Arc<Mailbox>,
-    /// Number of the last driver connection that was reported to the machine.
+    /// Number of the last driver connection that was reported to the state machine.
     connection: u64,
     outputs: Vec<Output>,
     wanted: Vec<Wanted>,
@@ -25,7 +25,7 @@ pub(crate) struct Edge {
 }
 
 impl Edge {
-    /// Creates an edge for a machine. The hardware behind the mailbox's driver is not connected yet.
+    /// Creates an edge for a state machine. The driver behind the mailbox has not connected to its hardware yet.
     pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>) -> Self {
         Self {
             machine: machine.confirmed_by_its_driver(),
@@ -46,7 +46,7 @@ impl Edge {
         &self.machine
     }
 
-    /// Releases the robot if its session is over.
+    /// Releases the robot if the session that owns it has ended.
     pub(crate) fn look(&mut self, now: Timestamp<HostTime>) {
         self.machine.release_if_over(now.assume_clock());
     }
@@ -73,13 +73,13 @@ impl Edge {
         out.append(&mut self.leaving);
     }
 
-    /// Executes the movements due at or before `now`. Their reports are sent with the next [`Edge::advance`].
+    /// Executes the movements due at or before `now`. The reports about them are sent with the next [`Edge::advance`].
     pub(crate) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
         self.check_hardware(now);
         self.tell(now, Robot::advance_movements);
     }
 
-    /// Checks, before any other work, whether the edge was delayed and, if a start is near, whether the hardware answers.
+    /// Checks whether the edge was delayed and, if a start is near, whether the hardware answers. Called before any other work.
     fn check_hardware(&mut self, now: Timestamp<HostTime>) {
         let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {
@@ -134,7 +134,7 @@ impl Edge {
         }
     }
 
-    /// Puts the hardware requests since the last call into the mailbox.
+    /// Puts the requests to the hardware that were made since the last call into the mailbox.
     pub(crate) fn post(&mut self, clock: &HostClock) {
         let instant = |at: Timestamp<RobotClock>| clock.instant_of(at.assume_clock());
         let demand = Demand {
@@ -147,7 +147,7 @@ impl Edge {
         self.mailbox.post(self.connection, orders, demand);
     }
 
-    /// Takes the log entries since the last call.
+    /// Removes and returns the log entries that were made since the last call.
     pub(crate) fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
     }
@@ -156,7 +156,7 @@ impl Edge {
         !self.log.is_empty()
     }
 
-    /// Calls the machine and collects its outputs. The robot's clock is the host's clock.
+    /// Calls the state machine and collects its outputs. The robot's clock is the host's clock.
     fn tell(
         &mut self,
         now: Timestamp<HostTime>,

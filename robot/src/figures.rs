@@ -1,4 +1,4 @@
-//! Metrics of a host. The precise thread updates them and any thread may read them; neither waits for the other.
+//! Metrics of a host. The precise thread (which wakes the robots) updates them and any thread may read them; neither waits for the other.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -6,7 +6,7 @@ use urrcp::Span;
 
 use crate::counts::Counts;
 
-/// Upper bounds of the classes of a [`Distribution`], in microseconds. Longer durations have a separate class.
+/// Upper bounds of the buckets of a [`Distribution`], in microseconds. Longer durations have a separate bucket.
 pub const BOUNDS_US: [u64; 14] =
     [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 1_000_000];
 
@@ -48,7 +48,7 @@ impl Distribution {
 #[derive(Debug)]
 pub struct Figures {
     robots: Vec<RobotFigures>,
-    /// Distribution of the delays with which the precise thread wakes up.
+    /// Distribution of the wake-up delays of the precise thread, which wakes the robots.
     pub wake_up: Distribution,
 }
 

@@ -1,4 +1,4 @@
-//! What a robot's machine knows about its hardware: whether the hardware is present, and which readings are pending.
+//! What a robot's state machine knows about its hardware: whether the hardware is present, and which readings are pending.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -18,12 +18,12 @@ pub(crate) enum Standing {
     Owner,
     /// The robot belongs to no session.
     Free,
-    /// The robot belongs to another session than the sender's.
+    /// The robot belongs to a session other than the sender's.
     Stranger,
 }
 
 impl Standing {
-    /// Returns the maximum number of pending readings of one party, and the maximum of all parties that do not own the robot.
+    /// Returns the maximum number of pending readings of one party, and of all parties together that do not own the robot.
     pub(crate) const fn readings_max(self) -> (usize, usize) {
         match self {
             Self::Owner => (READINGS_MAX, READINGS_MAX),
@@ -42,25 +42,25 @@ pub(crate) struct Asker {
 }
 /// Time limit of a reading if the sensor declares no `max_delay`, in milliseconds.
 const READING_WAIT_MS: f64 = 1_000.0;
-/// Upper limit of a reading's time limit in milliseconds, even if the sensor declares more.
+/// Longest time limit of a reading in milliseconds, even if the sensor declares a longer `max_delay`.
 const READING_WAIT_MS_MAX: f64 = 60_000.0;
 
-/// Maximum time until a start for the start to count as near.
+/// Time before a start within which the start counts as near.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 
-/// Identifies a requested reading of the hardware.
+/// Identifies a requested reading of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ReadingId(pub u64);
 
-/// Whether the hardware is present, as far as the machine knows.
+/// Whether the hardware is present, as far as the robot's state machine knows.
 #[derive(Clone, Debug)]
 enum Presence {
-    /// There is no hardware: the machine answers readings by itself.
+    /// There is no hardware: the state machine answers requests for readings by itself.
     Simulated,
     There,
     /// The hardware is connected, but has not answered for the contained time.
     Silent(Span),
-    /// The hardware is away, for the contained reason.
+    /// The hardware is disconnected, for the contained reason.
     Away(String),
 }
 
@@ -75,7 +75,7 @@ pub(crate) struct OpenReading {
     wait: Span,
 }
 
-/// What the machine knows about its hardware.
+/// What a robot's state machine knows about the robot's hardware.
 #[derive(Clone, Debug)]
 pub(crate) struct Hardware {
     presence: Presence,
@@ -113,13 +113,13 @@ impl Hardware {
         }
     }
 
-    /// Whether the robot can promise a start now.
+    /// Whether the hardware answers, so that the robot can promise a start now.
     #[cfg(feature = "host")]
     pub(crate) const fn answers(&self) -> bool {
         matches!(self.presence, Presence::Simulated | Presence::There)
     }
 
-    /// Returns the reason why the robot can promise no start now: the hardware is away, or silent.
+    /// Returns the reason why the robot cannot promise a start now: the hardware is disconnected or silent. `None` if it can.
     pub(crate) fn missing(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Silent(silence) => Some(unanswered(*silence)),
@@ -127,7 +127,8 @@ impl Hardware {
         }
     }
 
-    /// Returns the reason why nothing can be driven now. `None` for silent hardware, which may be present and must still be stopped.
+    /// Returns the reason why no device can be moved now: the hardware is disconnected. `None` for silent hardware, which may be present
+    /// and must still be stopped.
     pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Away(reason) => Some(ControlError::new(ErrorCode::Internal, reason.clone())),
@@ -138,7 +139,7 @@ impl Hardware {
     /// Adds a pending reading.
     ///
     /// # Errors
-    /// `busy` if too many readings are pending: in total, of this party, or of parties that do not own the robot.
+    /// `busy` if too many readings are pending: in total, of this party, or of all parties that do not own the robot.
     pub(crate) fn ask(
         &mut self,
         now: Timestamp<Robot>,

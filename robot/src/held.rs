@@ -22,13 +22,13 @@ pub(crate) struct Held {
     pub(crate) next_step: usize,
     pub(crate) late: LateSteps,
     pub(crate) began: bool,
-    /// Latest end of the pending lease, whatever messages arrive. `None`: no such limit.
+    /// Time at which the pending lease (the lease before the start) ends at the latest, whatever messages arrive. `None`: no such limit.
     pub(crate) pending_until: Option<Timestamp<Robot>>,
-    /// Link and sending time of the inquiry that last limited the pending lease.
+    /// Link and sending time of the inquiry that last limited the pending lease (the lease before the start).
     pub(crate) limited_by: Option<(LinkId, Timestamp<Server>)>,
 }
 
-/// Limit that an inquiry sets on the pending leases of the commands that it names.
+/// Limit that an inquiry sets for the pending leases (the leases before the start) of the commands that it names.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub(crate) pending: Option<Millis>,
@@ -59,8 +59,8 @@ impl Held {
         }
     }
 
-    /// Returns the instant by which the command must have started. A device that holds its value between steps does not move before the
-    /// first value.
+    /// Returns the instant at which the command is reported as started. For a device that holds its value between steps, this is the time
+    /// of the first value.
     pub(crate) fn starts(&self, interpolation: Interpolation) -> Timestamp<Robot> {
         match &self.steps {
             Steps::One(_) => self.start,
@@ -77,7 +77,7 @@ impl Held {
         u32::try_from(self.next_step).unwrap_or(u32::MAX)
     }
 
-    /// Whether one of the command's steps drives this signal.
+    /// Whether one of the command's steps sets a value of this control type.
     pub(crate) fn drives(&self, control_type: ControlType) -> bool {
         match &self.steps {
             Steps::One(setpoint) => setpoint.control_type == control_type,
@@ -87,7 +87,7 @@ impl Held {
         }
     }
 
-    /// Returns the command's current lease.
+    /// Returns the lease that currently applies to the command: the pending one before the start, then a running one.
     pub(crate) fn lease(&self) -> Lease {
         if !self.began {
             self.lease_of(lease::pending(self.stop_condition))
@@ -96,8 +96,8 @@ impl Held {
         }
     }
 
-    /// Returns when the command's lease ends. If the lease that follows the next event would already have ended at that event, the event
-    /// does not take place: the lease then ends at that instant.
+    /// Returns when the command's lease ends. If the lease that would apply after the next event has ended by then, the event does not
+    /// take place. The command's lease then ends at that instant.
     pub(crate) fn lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let over_by_then = self.next_event().filter(|at| {
             let first_step_is_later = !self.began && self.time_of(0) > Some(*at);
@@ -108,8 +108,7 @@ impl Held {
         heard.ends(&self.lease()).into_iter().chain(over_by_then).chain(until).min()
     }
 
-    /// Limits the command's pending lease. An inquiry that was sent before another one on the same link, and arrives after it, is
-    /// ignored.
+    /// Limits the command's pending lease. Ignores an inquiry that arrives after one that was sent later on the same link.
     pub(crate) fn limit(&mut self, limit: Limit) {
         if let (Some((link, asked)), Some((before_on, before))) = (limit.asked, self.limited_by)
             && link == before_on
@@ -122,7 +121,7 @@ impl Held {
         self.limited_by = limit.asked.or(self.limited_by);
     }
 
-    /// Shortens the silence that the command's pending lease permits.
+    /// Shortens the silence after which the command's pending lease ends, if `silence` is shorter.
     fn shorten_pending(&mut self, silence: Millis) {
         let condition = self.stop_condition.get_or_insert_default();
         let shorter = condition.pending.is_none_or(|own| silence.get() < own.get());

@@ -1,4 +1,4 @@
-//! Runs robots in real time. All robots of a host share one precise thread.
+//! Runs robots in real time. All robots of a host share one precise thread, which wakes them on time.
 
 mod body;
 mod executor;
@@ -31,7 +31,7 @@ use crate::refusals::Refusals;
 use crate::robot::Input;
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// Maximum number of inputs from a peer outside this process that the robot has not taken yet. Further inputs have to wait.
+/// Maximum number of inputs of one peer outside this process that wait for the robot. Further inputs are read later.
 const WINDOW: usize = 32;
 
 /// Options for a host that runs robots.
@@ -72,7 +72,7 @@ pub enum HostError {
         /// The system's error.
         error: io::Error,
     },
-    /// The system could not create a thread, with its error.
+    /// The system could not create a thread. Contains the system's error.
     #[error("cannot start a thread for the robots: {0}")]
     Thread(io::Error),
     /// The required scheduling was not granted. Contains the scheduling that was granted.
@@ -101,7 +101,7 @@ pub enum LinkEvent {
     Closed,
 }
 
-/// Robots that run on a precise thread.
+/// A set of running robots. A single thread with precise timing (the "precise thread") runs all of them.
 #[derive(Debug)]
 pub struct Host {
     handle: HostHandle,
@@ -114,7 +114,7 @@ pub struct Host {
     mailboxes: Vec<Arc<Mailbox>>,
 }
 
-/// Opens links to the robots of a host.
+/// A handle that opens links to the robots of a host. Clones refer to the same host.
 #[derive(Clone, Debug)]
 pub struct HostHandle {
     orders: flume::Sender<Order>,
@@ -125,7 +125,7 @@ pub struct HostHandle {
     strangers: Arc<Strangers>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
-    /// Maximum length of a command for each robot, in bytes.
+    /// Maximum length of a command in bytes, one entry per robot.
     longest: Arc<[usize]>,
 }
 
@@ -138,7 +138,7 @@ pub struct RobotLink {
     incoming: Inbox,
 }
 
-/// Sending half of a link, for use while another task receives.
+/// The sending half of a link. It is used while another task receives from the link.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
     orders: flume::Sender<Order>,
@@ -205,7 +205,7 @@ impl Host {
         self.mailboxes.iter().all(|mailbox| mailbox.await_tried(until))
     }
 
-    /// Returns the scheduling that the precise thread was granted.
+    /// Returns the scheduling that the system granted to the precise thread, which runs the robots.
     #[must_use]
     pub const fn scheduling(&self) -> &Scheduling {
         &self.scheduling
@@ -229,8 +229,8 @@ impl Host {
         Arc::clone(&self.handle.figures)
     }
 
-    /// Returns a receiver for the error if writing the log fails while the robots run; they then continue without a log. `None` without a
-    /// log, and after the first call.
+    /// Returns a receiver for the error that occurs if the log cannot be written while the robots run; the robots then continue without a
+    /// log. Returns `None` if there is no log, or if this method was called before.
     pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
         self.log_lost.take()
     }
@@ -258,8 +258,8 @@ impl Host {
     }
 }
 
-/// Returns a generous upper bound for the length in bytes of a command for any of these devices. A step with one value takes fewer than
-/// 200 bytes.
+/// Returns a generous upper bound for the length in bytes of a command for any of these devices. The bound allows 512 bytes per step; a
+/// step with one value takes fewer than 200.
 fn longest_command(block: &InitializationBlock) -> usize {
     const STEP: usize = 512;
     let of_device = |device: &Device| {
@@ -291,14 +291,14 @@ impl HostHandle {
         self.longest.get(link.robot).copied().unwrap_or(LINE_BYTES_MAX)
     }
 
-    /// Opens a link to a robot from within this process; `None` if the robot does not exist or the host has stopped.
+    /// Opens a link to a robot from within this process. Returns `None` if the robot does not exist or the host has stopped.
     #[must_use]
     pub fn connect(&self, robot: usize) -> Option<RobotLink> {
         self.connect_as(robot, Peer::in_process())
     }
 
     /// Opens a link to a robot for a peer. Returns `None` if the robot does not exist or the host has stopped. The peer's unread messages
-    /// are bounded, unless the peer is in this process. A session that the peer claims belongs to the peer's name.
+    /// are bounded, unless the peer is in this process. A session that the peer claims is tied to the peer's proven name, if it has one.
     #[must_use]
     pub fn connect_as(&self, robot: usize, peer: Peer) -> Option<RobotLink> {
         if robot >= self.robots.len() {
@@ -319,7 +319,7 @@ impl HostHandle {
         Arc::clone(&self.figures)
     }
 
-    /// Whether the precise thread answers within `patience`.
+    /// Whether the precise thread, which runs the robots, answers within `patience`.
     pub async fn answers_within(&self, patience: Duration) -> bool {
         let (answer, answered) = oneshot::channel();
         let asked = self.orders.send(Order::Beat { answer }).is_ok();
@@ -337,22 +337,23 @@ impl HostHandle {
         &self.refusals
     }
 
-    /// Returns the budget that all peers share that own no robot of this host.
+    /// Returns the budget for messages and reading time that is shared by all peers that own no robot of this host.
     pub(crate) fn strangers(&self) -> Arc<Strangers> {
         Arc::clone(&self.strangers)
     }
 
-    /// Returns the most recently received scripts: several robots of a host often receive the same script.
+    /// Returns the cache of the most recently received scripts. It is useful because several robots of a host often receive the same
+    /// script.
     pub(crate) const fn scripts(&self) -> &KnownScripts {
         &self.scripts
     }
 
-    /// Returns a receiver that shows the current or last owner of a robot.
+    /// Returns a receiver that shows the current or last owner of a robot. `None` if the robot does not exist.
     pub(crate) fn owner(&self, robot: usize) -> Option<watch::Receiver<Option<Claimant>>> {
         self.owners.get(robot).cloned()
     }
 
-    /// Makes a robot check whether its session is over. Returns once the robot has checked, or once the host has stopped.
+    /// Makes a robot check whether the session that owns it is over. Returns once the robot has checked, or once the host has stopped.
     pub(crate) async fn look(&self, robot: usize) {
         let (permit, looked) = oneshot::channel();
         let _stopped = self.orders.send(Order::Look { robot, permit });
@@ -361,8 +362,8 @@ impl HostHandle {
 }
 
 impl RobotLink {
-    /// Sends a message to the robot. Computes here, outside the precise thread, the hash that the robot compares. A stopped host ignores
-    /// the message; [`RobotLink::recv`] then returns `None`.
+    /// Sends a message to the robot. The calling thread hashes the message's content, so that the precise thread only has to compare the
+    /// hash. If the host has stopped, the message is ignored, and [`RobotLink::recv`] returns `None`.
     pub fn send(&self, message: Message) {
         self.order(Input::read(message));
     }
@@ -389,8 +390,8 @@ impl RobotLink {
 }
 
 impl LinkSender {
-    /// Sends an input once the robot has taken enough of the earlier ones. The host thus never holds more than [`WINDOW`] inputs of a
-    /// peer.
+    /// Sends an input to the robot. Waits first if the robot has yet to take [`WINDOW`] earlier inputs, so that the host never holds more
+    /// than [`WINDOW`] inputs of a peer.
     pub(crate) async fn send(&self, input: Input) {
         // The semaphore is never closed, so a permit always becomes available.
         let permit = Arc::clone(&self.window).acquire_owned().await.ok();

@@ -1,4 +1,4 @@
-//! Number of late steps of a command, and the delay of the latest one.
+//! Number of late steps of a command, and the largest of their delays.
 
 use urrcp::{Millis, Span};
 
@@ -13,7 +13,7 @@ pub(crate) struct LateSteps {
 }
 
 impl LateSteps {
-    /// Records a step that was done by `by` after its deadline.
+    /// Records that a step was done `by` after its deadline. Ignores a delay of at most [`LATE`].
     pub(crate) fn note(&mut self, by: Span) {
         if by > LATE {
             self.count += 1;
@@ -21,7 +21,7 @@ impl LateSteps {
         }
     }
 
-    /// Returns the largest delay of a step. `None` if no step was late.
+    /// Returns the largest delay of a late step, in milliseconds. `None` if no step was late.
     pub(crate) fn ms_max(self) -> Option<Millis> {
         (self.count > 0).then(|| Millis::from_span(self.max))
     }

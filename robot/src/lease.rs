@@ -1,4 +1,4 @@
-//! A `stop_condition` as a lease: how long a link may be silent before commands end.
+//! A `stop_condition` as a lease: it limits how long a link may be silent before the robot ends commands.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -6,13 +6,14 @@ use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
 use crate::ids::LinkId;
 
-/// The time of each party's last message. A link that is down is silent, so its leases expire.
+/// The time of the last message of each party (a session, or a link without a session). A link that is down is silent, so its leases
+/// expire.
 #[derive(Clone, Debug)]
 pub(crate) struct LastMessages {
     at: BTreeMap<LinkId, Timestamp<Robot>>,
-    /// Entry of the party that sent the latest message. At nearly every step of a device, this is the party that is looked up.
+    /// The party that sent the most recent message, with the time of the message. Nearly every step of a device looks up this party.
     latest: Option<(LinkId, Timestamp<Robot>)>,
-    /// Number of entries above which parties that hold no commands are forgotten.
+    /// Number of entries above which the parties without commands are forgotten.
     room: usize,
 }
 
@@ -26,8 +27,8 @@ impl Default for LastMessages {
 }
 
 impl LastMessages {
-    /// Records that a message of `party` arrived at `now`. Returns whether it is time to call [`LastMessages::keep`] with the parties
-    /// that hold commands.
+    /// Records that a message of `party` arrived at `now`. Returns whether there are too many entries; the caller must then call
+    /// [`LastMessages::keep`] with the parties that hold commands.
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);
@@ -35,7 +36,8 @@ impl LastMessages {
         self.at.len() > self.room
     }
 
-    /// Forgets all parties except these. This loses nothing: without an entry, a lease counts from the time when it was granted.
+    /// Forgets all parties except those in `holding`. This loses nothing: if a party has no entry, its lease counts from the time when it
+    /// was granted.
     pub(crate) fn keep(&mut self, holding: &HashSet<LinkId>) {
         self.at.retain(|party, _| holding.contains(party));
         self.latest = None;
@@ -50,7 +52,7 @@ impl LastMessages {
         }
     }
 
-    /// Returns when a lease ends. `None` if its silence has no limit.
+    /// Returns when a lease ends unless another message arrives. `None` if the lease does not limit the silence.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();
         let heard = self.last(lease.link).unwrap_or(lease.granted);
@@ -58,21 +60,22 @@ impl LastMessages {
     }
 }
 
-/// A command's current lease.
+/// The lease that currently applies to a command.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lease {
     pub(crate) link: LinkId,
     pub(crate) granted: Timestamp<Robot>,
-    /// Maximum silence of the link. `None`: no limit.
+    /// Maximum silence of the link before the lease ends. `None`: no limit.
     pub(crate) silence: Option<Millis>,
 }
 
-/// Returns the maximum silence before the start. `None`: no limit.
+/// Returns the maximum silence of the link before a command starts. `None`: no limit.
 pub(crate) fn pending(stop_condition: Option<StopCondition>) -> Option<Millis> {
     stop_condition.and_then(|lease| lease.pending)
 }
 
-/// Returns the maximum silence while a step is current. The step's own condition takes precedence over the command's. `None`: no limit.
+/// Returns the maximum silence of the link while a step is executed. The `stop_condition` of the step takes precedence over that of the
+/// command. `None`: no limit.
 pub(crate) fn running(command: Option<StopCondition>, step: Option<StopCondition>) -> Option<Millis> {
     step.or(command).and_then(|lease| lease.running)
 }

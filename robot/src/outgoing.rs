@@ -4,7 +4,7 @@ use urrcp::Message;
 
 use crate::ids::LinkId;
 
-/// An outgoing message, or the end of a link.
+/// An action that a robot requests for a link: send a message, or close the link.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum Outgoing {

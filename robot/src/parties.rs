@@ -1,7 +1,7 @@
 //! The parties that use the links, and the party that owns the robot.
 //!
 //! A session is one run of a scheduler. It may use several links, in sequence or at the same time: leases, responses and stops belong to
-//! the session. A link that does not name a session is a separate party.
+//! the session, not to a link. A link that names no session is a party of its own.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,40 +16,41 @@ const CLAIM_SILENCE: Span = Span::from_millis(5_000);
 /// Maximum number of sessions that a robot remembers.
 pub(crate) const SESSIONS_MAX: usize = 256;
 
-/// A possible owner of the robot. The id of a session is a secret of the peers that use it. Peers with different proven names have
-/// different sessions, even if they use the same session id.
+/// A possible owner of the robot: a session, and the proven name of the peer that uses it, if any. The id of a session is a secret of the
+/// peers that use it. Peers with different proven names have different sessions, even if they use the same session id.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Claimant {
     pub(crate) session: SessionId,
     pub(crate) peer: Option<Label>,
 }
 
-/// All parties of a robot. A party is identified by its first link, unless that link already identifies another party.
+/// All parties of a robot. The id of a party is the id of its first link, unless another party already has this id.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
     of_link: BTreeMap<LinkId, LinkId>,
     of_session: HashMap<Claimant, LinkId>,
-    /// The proven identity of each link's peer.
+    /// The proven identity of the peer on each link.
     proof_of: BTreeMap<LinkId, Proof>,
-    /// Link of each party's last message.
+    /// For each party, the link on which its last message arrived.
     route: BTreeMap<LinkId, LinkId>,
     owner: Option<(Claimant, LinkId)>,
-    /// The owner before the last seizure, and the name of the operator that seized the robot.
+    /// The owner before the last seizure, and the name of the operator that seized the robot. `None` if no owner lost the robot by a
+    /// seizure.
     seized: Option<(Claimant, Label)>,
     /// Number of owner changes so far.
     changes: u64,
-    /// Number of parties that are not identified by their first link. Their ids are counted down from the largest number, so that no link
-    /// has them.
+    /// Number of parties whose id is not that of their first link. Their ids are counted down from the largest number, so that they never
+    /// equal the id of a link.
     named: u64,
 }
 
 impl Parties {
-    /// Returns the party that uses a link.
+    /// Returns the party that uses a link: a session, or the link itself if no session was named on it.
     pub(crate) fn party(&self, link: LinkId) -> LinkId {
         self.of_link.get(&link).copied().unwrap_or(link)
     }
 
-    /// Returns the link on which to reach a party.
+    /// Returns the link on which to send messages to a party (a session, or a link without a session).
     pub(crate) fn route(&self, party: LinkId) -> LinkId {
         self.route.get(&party).copied().unwrap_or(party)
     }
@@ -68,17 +69,17 @@ impl Parties {
         self.proof(link).map(|proof| &proof.name)
     }
 
-    /// Returns the claimant for a session on a link.
+    /// Returns the claimant (a possible owner) that consists of this session and the proven name of this link's peer.
     pub(crate) fn claimant(&self, link: LinkId, session: &SessionId) -> Claimant {
         Claimant { session: session.clone(), peer: self.name(link).cloned() }
     }
 
-    /// Whether `claimant` is this session, used by the peer of this link.
+    /// Whether `claimant` consists of this session and the proven name of this link's peer.
     pub(crate) fn is_claimant(&self, link: LinkId, session: &SessionId, claimant: &Claimant) -> bool {
         claimant.session == *session && claimant.peer.as_ref() == self.name(link)
     }
 
-    /// Records a message of a session on a link, and returns the session's party.
+    /// Records that a message of a session arrived on a link. Returns the session's party.
     pub(crate) fn join(&mut self, link: LinkId, session: &SessionId) -> LinkId {
         let claimant = self.claimant(link, session);
         let party = match self.of_session.get(&claimant) {
@@ -110,7 +111,7 @@ impl Parties {
         self.leave(party, link);
     }
 
-    /// Removes a link from a party. After that, the party's messages use another of its links, if it has one.
+    /// Removes a link from a party. After that, messages to the party use another of its links, if it has one.
     fn leave(&mut self, party: LinkId, link: LinkId) {
         if self.route.get(&party) == Some(&link) {
             self.route.remove(&party);
@@ -119,8 +120,8 @@ impl Parties {
         }
     }
 
-    /// Returns the session that owns the robot. A session remains the owner while the robot holds commands, or while its last message is
-    /// recent and one of its links is up.
+    /// Returns the session that owns the robot. A session remains the owner while the robot holds commands, or while one of its links is
+    /// up and its last message is less than [`CLAIM_SILENCE`] old.
     pub(crate) fn owner(
         &self,
         now: Timestamp<Robot>,
@@ -133,7 +134,7 @@ impl Parties {
         })
     }
 
-    /// Makes the claimant the owner.
+    /// Makes the claimant the owner of the robot.
     pub(crate) fn claim(&mut self, claimant: Claimant, party: LinkId) {
         if self.owner.as_ref().is_none_or(|(owner, _)| *owner != claimant) {
             self.owner = Some((claimant, party));
@@ -152,21 +153,21 @@ impl Parties {
         self.claim(claimant, party);
     }
 
-    /// Returns the name of the operator that seized the robot from this session, used by the peer of this link. `None` if the last
-    /// seizure affected another session.
+    /// Returns the name of the operator that seized the robot from this session of the link's peer. `None` if there was no seizure, or if
+    /// the last one affected another session.
     pub(crate) fn seized_by(&self, link: LinkId, session: &SessionId) -> Option<&Label> {
         let (_, by) = self.seized.as_ref().filter(|(from, _)| self.is_claimant(link, session, from))?;
         Some(by)
     }
 
-    /// Releases the robot: no session owns it.
+    /// Releases the robot: after that, no session owns it.
     pub(crate) fn release(&mut self) {
         if self.owner.take().is_some() {
             self.changes += 1;
         }
     }
 
-    /// Returns the current or last owner.
+    /// Returns the current or last owner of the robot. `None` if there was none.
     #[cfg(feature = "host")]
     pub(crate) fn last_claimant(&self) -> Option<&Claimant> {
         self.owner.as_ref().map(|(claimant, _)| claimant)
@@ -183,7 +184,7 @@ impl Parties {
         self.owner.as_ref().map(|(_, party)| *party)
     }
 
-    /// Returns the number of all entries about parties.
+    /// Returns how many entries about parties are stored in all.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
         self.of_link.len() + self.of_session.len() + self.route.len() + self.proof_of.len()

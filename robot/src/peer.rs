@@ -11,7 +11,7 @@ use urrcp::Proof;
 /// The peer at the other end of a link: its origin, as far as it is known, and its name if it has proven one.
 ///
 /// A session belongs to the name of the peer that claims it. If a peer with another name, or without a name, uses the same session id,
-/// this is another session.
+/// that is a different session.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Peer {
     origin: Origin,
@@ -24,12 +24,12 @@ enum Origin {
     #[default]
     InProcess,
     Address(SocketAddr),
-    /// Name that a network which hides addresses gives the peer.
+    /// The peer comes through a network that hides addresses. Contains the name that the network gives the peer.
     Network(Arc<str>),
 }
 
 impl Peer {
-    /// Returns the peer for a part of this process. It is trusted: it has no quota or budget.
+    /// Returns a peer that is a part of this process. It is trusted: no quota and no budget applies to it.
     #[must_use]
     pub const fn in_process() -> Self {
         Self { origin: Origin::InProcess, proof: None }
@@ -41,7 +41,7 @@ impl Peer {
         Self { origin: Origin::Address(address), proof: None }
     }
 
-    /// Returns an unproven peer that connects through a network that gives it this name and no address.
+    /// Returns an unproven peer that connects through a network. The network gives the peer this name, but hides its address.
     #[must_use]
     pub fn through(network: &str) -> Self {
         Self { origin: Origin::Network(network.into()), proof: None }
@@ -54,7 +54,7 @@ impl Peer {
         self
     }
 
-    /// Returns the peer's address. `None` for a part of this process, and if a network hides the address.
+    /// Returns the peer's address. `None` if the peer is a part of this process, or if a network hides the address.
     #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
         match self.origin {
@@ -81,7 +81,7 @@ impl Peer {
         matches!(self.origin, Origin::InProcess)
     }
 
-    /// Returns the IP address whose quota the peer uses. `None` if an address would represent many peers or is unknown: within this
+    /// Returns the IP address whose quota the peer uses. `None` if the address is unknown or may represent many peers: within this
     /// process, on the loopback interface, and through networks that hide addresses.
     #[must_use]
     pub fn quota_key(&self) -> Option<IpAddr> {

@@ -1,6 +1,6 @@
 //! Scripts that a driver receives ahead of time and times by itself, and the driver's reports about them.
 //!
-//! The device's machine simulates these scripts in parallel and decides on leases, overlaps and stops. The robot reports what the driver
+//! The state machine simulates these scripts in parallel, and decides on leases, overlaps and stops. The robot reports what the driver
 //! reports.
 
 use std::collections::BTreeMap;
@@ -74,7 +74,7 @@ pub struct PlanCancel {
 /// Behaviour of a device after one of its scripts is cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
-    /// The device behaves as without the script: another script may run.
+    /// The device behaves as if the cancelled script had never existed: another script may run.
     Keep,
     /// The device stays where it is.
     Hold,
@@ -85,7 +85,7 @@ pub enum Then {
 }
 
 impl Then {
-    /// Returns the behaviour's keyword in the protocol for programs.
+    /// Returns the keyword for this behaviour in the protocol between the robot and driver programs.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -100,15 +100,15 @@ impl Then {
 /// A driver's report about a script that it times by itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanEvent {
-    /// The first value is set, or the device has started to move to it linearly.
+    /// The device has set the first value or, with linear interpolation, has started to move to it.
     Began,
     /// The step with this index is done, and so are all steps before it.
     Step(u32),
     /// All steps are done.
     Done,
-    /// By the driver's clock, the script has started or continues. The hardware has not shown this.
+    /// According to the driver's clock, the script has started or continues. The hardware has not confirmed this.
     AssumedRunning,
-    /// By the driver's clock, all steps are done. The hardware has not shown this.
+    /// According to the driver's clock, all steps are done. The hardware has not confirmed this.
     AssumedDone,
     /// The script ended early, for the contained reason.
     Failed(String),
@@ -116,20 +116,21 @@ pub enum PlanEvent {
     Cancelled,
 }
 
-/// Tolerance of reported times: a report's time must not be further in the future, or further before the script was accepted.
+/// Tolerance for the time in a driver's report. The time may be at most this far in the future, or this long before the script was
+/// accepted.
 const GRAIN: Span = Span::from_millis(10);
-/// Maximum delay of an edge's check for a report. With a larger delay, the edge itself was delayed, and the report may still wait to be
-/// processed.
+/// Maximum delay with which the edge (the process that drives the hardware) checks for an overdue report. If the check is later than
+/// that, the edge itself was delayed, and the report may still wait to be processed.
 const HELD_UP: Span = Span::from_millis(100);
 
-/// Progress of a script, as the device's machine sees it.
+/// Progress of a script, as the robot's state machine sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
     Waiting,
     Begun,
-    /// The last step was due.
+    /// The time of the last step has passed.
     Over,
-    /// The driver must end the script; afterwards this error is reported.
+    /// The driver has been told to end the script. This error is reported once it has done so.
     Cancelling(ControlError),
 }
 
@@ -138,7 +139,7 @@ pub(crate) enum Stage {
 pub(crate) struct Plan {
     pub(crate) index: usize,
     pub(crate) command: CommandId,
-    /// The command in the form in which it was accepted.
+    /// The command as it was when it was accepted.
     held: Held,
     device: DeviceId,
     interpolation: Interpolation,
@@ -148,14 +149,14 @@ pub(crate) struct Plan {
     pub(crate) stage: Stage,
     pub(crate) began: Option<Timestamp<Robot>>,
     pub(crate) began_told: bool,
-    /// Whether the driver has reported that it assumes the start of the script.
+    /// Whether the driver has reported that it assumes that the script has started.
     assumed: bool,
     pub(crate) done: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
     pub(crate) late: LateSteps,
-    /// Whether the driver has ended the script by itself, or never took it.
+    /// Whether the driver has ended the script, or never accepted it.
     pub(crate) is_over_there: bool,
-    /// Extended time limit of the driver's reports, after the edge was delayed.
+    /// Later deadline for the driver's reports, which is set if the edge was delayed. `None`: no later deadline.
     extended: Option<Timestamp<Robot>>,
     tolerance: Tolerance,
 }
@@ -169,7 +170,7 @@ impl Plan {
         &self.device
     }
 
-    /// Returns when the device starts to move to a step. `None` if the step does not exist.
+    /// Returns when the device starts to move to the value of a step. `None` if the step does not exist.
     fn sets_out(&self, step: usize) -> Option<Timestamp<Robot>> {
         self.held.time_of(step)?;
         step.checked_sub(1).map_or(Some(self.held.start), |before| self.held.time_of(before))
@@ -179,7 +180,7 @@ impl Plan {
         matches!(self.stage, Stage::Waiting | Stage::Begun)
     }
 
-    /// Returns when the driver must receive the next steps. `None` if no further steps must be handed over.
+    /// Returns when the driver must receive the next steps. `None` if no steps remain to be handed over.
     fn next_handover(&self) -> Option<Timestamp<Robot>> {
         let sets_out = self.sets_out(self.given).filter(|_| self.is_open() && !self.is_over_there)?;
         Some(match self.lookahead {
@@ -188,7 +189,7 @@ impl Plan {
         })
     }
 
-    /// Returns the delay of the handover of the next steps. `None` if it is within the tolerance.
+    /// Returns by how much the handover of the next steps to the driver is late. `None` if the delay is within the tolerance.
     pub(crate) fn handover_late(&self, now: Timestamp<Robot>) -> Option<Span> {
         self.next_handover()?;
         let sets_out = self.sets_out(self.given)?;
@@ -196,7 +197,8 @@ impl Plan {
         (now - sets_out > most).then(|| now - sets_out)
     }
 
-    /// Returns the steps that the driver must receive now. With a horizon, these include the steps of the next quarter of the horizon.
+    /// Returns the steps that the driver must receive now. With [`Lookahead::Horizon`], this includes the steps that would be due for
+    /// handover within the next quarter of the horizon.
     pub(crate) fn hand_over(&mut self, id: PlanId, now: Timestamp<Robot>) -> Option<PlanPart<Robot>> {
         self.next_handover().filter(|at| *at <= now)?;
         let first = self.given;
@@ -222,7 +224,7 @@ impl Plan {
         })
     }
 
-    /// Returns the time limit of the driver's next report. `None` if none is expected.
+    /// Returns the deadline of the driver's next report. `None` if no report is expected.
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
@@ -232,7 +234,7 @@ impl Plan {
         Some(self.extended.map_or(due, |extended| due.max(extended)))
     }
 
-    /// Whether the driver has missed the time limit of a report. If this check itself is too late, the limit is extended.
+    /// Whether the driver has missed the deadline of a report. If this check itself runs too late, it extends the deadline instead.
     fn is_unreported(&mut self, now: Timestamp<Robot>) -> bool {
         let Some(due) = self.report_due().filter(|due| *due <= now) else { return false };
         if now - due > HELD_UP {
@@ -298,13 +300,14 @@ impl Plan {
         Ok(())
     }
 
-    /// Records that the driver no longer follows the script. If the driver still had time to report a start, the script has not started.
+    /// Records that the driver has cancelled the script. If the driver could still have reported a start in time, the script counts as
+    /// not started.
     pub(crate) fn is_withdrawn(&mut self, now: Timestamp<Robot>) {
         self.is_over_there |= now < self.held.starts(self.interpolation) + self.tolerance.report;
     }
 
-    /// Whether the script may have started without a report: the driver had the script at its start time, or assumes that it started, and
-    /// has not reported a start.
+    /// Whether the script may have started, although the driver has reported no start. This is so if the driver had the script at its
+    /// start time, or assumes that the script has started.
     pub(crate) fn may_have_begun(&self, now: Timestamp<Robot>) -> bool {
         let had_it = self.given > 0 && !self.is_over_there && now >= self.held.starts(self.interpolation);
         self.began.is_none() && (self.assumed || had_it)
@@ -329,9 +332,9 @@ impl Plan {
 pub(crate) struct Plans {
     plans: BTreeMap<PlanId, Plan>,
     last: u64,
-    /// Scripts that are over for the machine, with their errors. They must be cancelled with the next change of their device.
+    /// Scripts that the state machine has ended, with their errors. They must be cancelled at the driver when their device changes next.
     failing: Vec<(PlanId, ControlError)>,
-    /// Tolerance that each added script gets.
+    /// Maximum delays that apply to each script that is added.
     pub(crate) tolerance: Tolerance,
 }
 
@@ -372,7 +375,7 @@ impl Plans {
         self.plans.insert(PlanId(self.last), plan);
     }
 
-    /// Whether a plan with this id exists or has existed.
+    /// Whether a plan (a script that a driver times) with this id exists or has existed.
     pub(crate) const fn has_been(&self, id: PlanId) -> bool {
         id.0 >= 1 && id.0 <= self.last
     }
@@ -394,17 +397,17 @@ impl Plans {
         self.plans.iter().find(|(_, plan)| is_it(plan)).map(|(id, _)| *id)
     }
 
-    /// Returns the plan of a request, if it has not ended.
+    /// Returns the plan (the script that the driver times) of a request, if it has not ended.
     pub(crate) fn of_request(&self, id: &RequestId) -> Option<&Plan> {
         self.plans.values().find(|plan| plan.held.request_id.as_ref() == Some(id))
     }
 
-    /// Returns the plans of a device, oldest first.
+    /// Returns the plans (the scripts that drivers time) of a device, oldest first.
     pub(crate) fn of_device(&self, index: usize) -> Vec<PlanId> {
         self.plans.iter().filter(|(_, plan)| plan.index == index).map(|(id, _)| *id).collect()
     }
 
-    /// Records that the machine has reached a stage of a command, such as its start or end.
+    /// Records that the state machine has reached a stage of a command, such as its start or end.
     pub(crate) fn come_to(&mut self, index: usize, command: CommandId, stage: Stage) {
         let Some(plan) = self.find(index, command).and_then(|id| self.plans.get_mut(&id)) else { return };
         plan.stage = stage;
@@ -415,18 +418,18 @@ impl Plans {
         self.plans.values().filter_map(at).min()
     }
 
-    /// Returns the plans whose drivers must receive further steps now.
+    /// Returns the plans (the scripts that drivers time) of which drivers must receive further steps now.
     pub(crate) fn to_hand_over(&self, now: Timestamp<Robot>) -> Vec<PlanId> {
         let due = |plan: &Plan| plan.next_handover().is_some_and(|at| at <= now);
         self.plans.iter().filter(|(_, plan)| due(plan)).map(|(id, _)| *id).collect()
     }
 
-    /// Returns the plans whose driver has missed the time limit of a report.
+    /// Returns the plans (the scripts that drivers time) for which the driver has missed the deadline of a report.
     pub(crate) fn unreported(&mut self, now: Timestamp<Robot>) -> Vec<PlanId> {
         self.plans.iter_mut().filter_map(|(id, plan)| plan.is_unreported(now).then_some(*id)).collect()
     }
 
-    /// Schedules a plan for cancellation with the next change of its device.
+    /// Marks a plan (a script that a driver times) as failed. It is cancelled when its device changes next.
     pub(crate) fn will_fail(&mut self, id: PlanId, error: ControlError) {
         self.failing.push((id, error));
     }
@@ -437,7 +440,7 @@ impl Plans {
 }
 
 impl<C> PlanPart<C> {
-    /// Converts the part to a clock that is ahead of its present one by `ahead`.
+    /// Converts the times of the part to a clock that is ahead of their present clock by `ahead`.
     #[cfg(feature = "host")]
     pub(crate) fn on_clock<D>(self, ahead: Span) -> PlanPart<D> {
         let there = |at: Timestamp<C>| (at + ahead).assume_clock();

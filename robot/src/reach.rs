@@ -4,25 +4,25 @@ use urrcp::{ControlError, ErrorCode, Millis, Robot, Span, StopCondition, Timesta
 
 use crate::held::Steps;
 
-/// Maximum time from a command's receipt to its start and, without a `running` limit, to its end.
+/// Maximum time from the receipt of a command to its start. It also limits the end of a command without a `running` limit.
 pub(crate) const REACH_MAX: Span = Span::from_millis(24 * 3_600_000);
-/// Maximum of a `stop_condition` limit. A longer limit would have no effect.
+/// Maximum value of a limit in a `stop_condition`. A higher value would have no effect.
 pub(crate) const SILENCE_MAX: Span = REACH_MAX;
-/// Maximum time from receipt to start for the first command of a device without a `pending` limit.
+/// Maximum time from receipt to start of the first command of a device, if this command has no `pending` limit.
 pub(crate) const START_WITHOUT_LEASE_MAX: Span = Span::from_millis(3_600_000);
 
-/// A command whose reach is checked.
+/// A command, to check how far it reaches into the future.
 pub(crate) struct Reach<'a> {
     pub(crate) start: Timestamp<Robot>,
     pub(crate) end: Timestamp<Robot>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) steps: &'a Steps,
-    /// Whether the device holds no other command on which this command would depend.
+    /// Whether this command depends on no other command that the device holds.
     pub(crate) is_first: bool,
 }
 
 impl Reach<'_> {
-    /// Checks the reach of a command that is received at `now`.
+    /// Checks how far a command that is received at `now` reaches into the future.
     ///
     /// # Errors
     /// `out_of_range`, with the excessive value and its limit.
@@ -46,7 +46,7 @@ impl Reach<'_> {
         Err(ControlError::new(ErrorCode::OutOfRange, message))
     }
 
-    /// Returns all silence limits that ever apply to the command.
+    /// Returns all silence limits of the command and its steps.
     fn limits(&self) -> impl Iterator<Item = Millis> + '_ {
         let of_steps = match self.steps {
             Steps::One(_) => &[][..],
@@ -67,7 +67,8 @@ mod tests {
         Timestamp::from_nanos(0) + after
     }
 
-    /// Returns the error for a single value that must be set `ahead` from now, with `limits` as the pending and the running limit.
+    /// Returns the error, if any, for a single value that starts `ahead` from now and ends `ends` from now. `limits` are the `pending`
+    /// and the `running` limit.
     fn says(ahead: Span, ends: Span, limits: [Option<Span>; 2], is_first: bool) -> Option<String> {
         let [pending, running] = limits.map(|limit| limit.map(Millis::from_span));
         let steps = Steps::One(urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0));

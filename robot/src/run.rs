@@ -1,4 +1,4 @@
-//! A robot as a complete program: a single call, which returns after the program has been asked to end.
+//! Runs a robot as a complete program with a single call, which returns once the program has been asked to end.
 
 use std::io;
 use std::net::{TcpListener, ToSocketAddrs};

@@ -1,4 +1,4 @@
-//! Log of the values that a robot set, with their times. It is the truth against which reports are checked.
+//! Log of the values that a robot set, with their times. It shows what really happened, so reports are checked against it.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
-/// How the value of a device changes at an entry of the log.
+/// How the value of a device changes, as an entry of the log records it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionKind {
@@ -19,7 +19,7 @@ pub enum MotionKind {
     Ramp,
     /// A position slows down and comes to rest, within the declared acceleration.
     Slow,
-    /// A stop keeps the current value, or sets a speed or an acceleration to zero.
+    /// A stop makes the device keep its current value, or sets a speed or an acceleration to zero.
     Rest,
     /// The device moves to its default state.
     Default,
@@ -68,7 +68,7 @@ impl LogEntry {
         matches!(self.motion, MotionKind::Set)
     }
 
-    /// Whether the entry sets the value of a script's step. False for the movement to the next step.
+    /// Whether the entry sets the value of a script's step. False for the linear movement towards a step.
     #[cfg(feature = "host")]
     pub(crate) const fn is_a_step(&self) -> bool {
         self.step.is_some() && self.is_set()

@@ -1,8 +1,8 @@
-//! The value of one signal of a device over time, at rest or during a movement.
+//! The value of one signal of a device (such as its position or speed) over time, at rest or during a movement.
 
 use urrcp::{ControlType, Device, Limits, Robot, Setpoint, Span, Timestamp};
 
-/// A signal that moves or is at rest.
+/// The value of a signal over time: it moves from one value to another, or is at rest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Signal {
     from: f64,
@@ -16,7 +16,7 @@ pub(crate) struct Signal {
 #[derive(Clone, Copy, Debug)]
 struct Slowing {
     phases: [Phase; 4],
-    /// Limits of the value, so that rounding errors do not exceed the device's limits.
+    /// Minimum of the value; `largest` is its maximum. They prevent rounding errors from exceeding the device's limits.
     least: f64,
     largest: f64,
 }
@@ -58,7 +58,7 @@ impl Signal {
         self.to
     }
 
-    /// Returns when the signal reaches its final value.
+    /// Returns when the signal reaches its final value and comes to rest.
     pub(crate) const fn rests_at(&self) -> Timestamp<Robot> {
         self.until
     }
@@ -101,9 +101,9 @@ impl Signal {
         (self.to - self.from) / ((self.until - self.since).as_millis_f64() / 1_000.0)
     }
 
-    /// Returns the movement from the current state to rest: constant deceleration to a standstill, then to the target `to`, if any. To
-    /// avoid a standstill beyond `limits`, the device brakes harder than `rates` permits. Returns `None` if the signal is already there,
-    /// or if the movement exceeds the range of numbers.
+    /// Returns the movement from the current state to rest: constant deceleration to a standstill, then a movement to the target `to`, if
+    /// any. To avoid a standstill beyond `limits`, the device brakes harder than `rates` permits. Returns `None` if the signal is already
+    /// at rest at its target, or if the movement exceeds the range of numbers.
     pub(crate) fn brought_to_rest(
         &self,
         now: Timestamp<Robot>,
@@ -157,8 +157,8 @@ impl Signal {
 }
 
 impl Signal {
-    /// Returns the movement to `to` of a device that declares a speed and no acceleration. `None` if the signal has arrived or has no
-    /// target.
+    /// Returns the movement to `to` of a device that declares a maximum speed but no maximum acceleration. `None` if the signal is
+    /// already at `to`, or if `to` is `None`.
     fn ramp_home(&self, now: Timestamp<Robot>, to: Option<f64>, speed: f64) -> Option<Self> {
         let (from, to) = (self.value(now), to?);
         let seconds = (to - from).abs() / speed;
@@ -166,7 +166,7 @@ impl Signal {
             .then(|| Self::ramp(from, now, to, now + Span::from_millis_f64(seconds * 1_000.0)))
     }
 
-    /// Returns the movement of a speed to `to` at constant acceleration. `None` if the speed is already `to`.
+    /// Returns the change of a speed to the value `to` at constant acceleration. `None` if the speed is already `to`.
     pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
         let from = self.value(now);
         let seconds = (to - from).abs() / acceleration;
@@ -182,7 +182,7 @@ impl Slowing {
     }
 }
 
-/// Whether a device continues to move after its last command if the command drove this control type.
+/// Whether a device that was driven by this control type continues to move after its last command.
 #[cfg(feature = "host")]
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
@@ -193,8 +193,8 @@ pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64
     spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type))
 }
 
-/// Returns the values of a signal at rest: zero for a speed or an acceleration, and `at_rest` for a custom type. A custom type has as
-/// many values as were `driven` last. Returns `None` if a signal at rest keeps its values.
+/// Returns the values that bring a signal to rest: zero for a speed or an acceleration, and `at_rest` for a custom type. A custom type
+/// has as many values as were `driven` last. Returns `None` if a signal of this type rests at its current value.
 pub(crate) fn rest_of(
     spec: &Device,
     control_type: ControlType,
@@ -217,8 +217,8 @@ pub(crate) fn with_values(first: Setpoint, driven: Option<&Setpoint>) -> Setpoin
 }
 
 /// Returns the value that a signal is assumed to have before any command. For a speed or an acceleration, this is its value at rest,
-/// whatever the device's default state: if a stop slowed it down from another value, it would start a movement. For any other signal, it
-/// is the default value, else the value at rest, else the permitted value nearest to zero.
+/// whatever the device's default state: with any other value, a stop would start a movement. For any other signal, it is the default
+/// value, else the value at rest, else the permitted value nearest to zero.
 pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
     let limits = spec.available_control_types.limits(control_type);
     let rest = || rest_of(spec, control_type, None).map(|rest| rest.value);

@@ -1,4 +1,4 @@
-//! A simulated robot: the real state machine behind a simulated clock and link, and with simulated faults. Like the state machine, it
+//! A simulated robot: the real state machine with a simulated clock, a simulated link and simulated faults. Like the state machine, it
 //! does no I/O and reads no clock.
 
 use std::cell::Cell;
@@ -25,28 +25,29 @@ pub use body::Moves;
 
 mod body;
 
-/// Marker type for times on the one true clock of a simulated world. On a host, this is the host's clock.
+/// Marker type for true time: the one clock of a simulated world. On a host, this is the host's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum True {}
 
-/// Properties of a simulated robot that deviate from those of a perfect one.
+/// Properties in which a simulated robot deviates from a perfect one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Offset of the robot's raw clock from true time.
     pub clock_offset: Span,
     /// Drift of the robot's raw clock relative to true time, in parts per million. Positive if the clock runs fast.
     pub drift_ppm: f64,
-    /// Maximum random error of the times in the robot's availability responses.
+    /// Maximum random error of the times in the robot's responses to availability requests and inquiries.
     pub jitter: Span,
-    /// Maximum error with which NTP estimates the error of the robot's raw clock. `None`: the robot uses its raw clock without NTP.
+    /// Maximum error of the robot's clock after NTP has corrected its raw clock. `None`: the robot uses its raw clock without NTP.
     pub ntp_error: Option<Span>,
     /// Minimum and maximum delay of a message in either direction. `None`: no delay.
     pub delay: Option<(Span, Span)>,
     /// Fault of the robot, if any.
     pub fault: Option<Fault>,
-    /// How the robot's body follows its devices. A device without an entry is followed at once.
+    /// How the bodies (the simulated moving parts) of the robot follow its devices. A body that is not listed follows its device at once.
     pub moves: Vec<Moves>,
-    /// Limits of movements to rest and to the default state by device, if they are lower than the limits that the devices declare.
+    /// Limits for movements to rest and to the default state, by device. A limit applies only if it is lower than the one that the device
+    /// declares.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
     /// Seed of the robot's random numbers.
     pub seed: u64,
@@ -79,10 +80,10 @@ pub enum Fault {
     Disconnect,
 }
 
-/// Simulated hardware of a robot's machine.
+/// Simulated hardware that a robot's state machine drives.
 #[derive(Clone, Debug, Default)]
 struct SimulatedHardware {
-    /// Time since which the hardware neither acts nor answers. `None`: it works.
+    /// Time since which the hardware neither acts nor answers. `None`: the hardware works.
     dead_since: Option<Timestamp<True>>,
     readings: HashMap<DeviceId, f64>,
 }
@@ -102,7 +103,7 @@ enum InFlight {
 
 type LaneId = (LinkId, Way);
 
-/// State of one direction of one link. Messages keep their order, as on TCP. The entry is removed when no message is in flight.
+/// State of one direction of one link. Messages keep their order, as with TCP. The entry is removed once no message is in flight.
 #[derive(Clone, Debug)]
 struct Lane {
     last: Timestamp<True>,
@@ -114,11 +115,11 @@ struct Lane {
 /// Maximum number of messages in flight in one direction of one link: enough for a request to each device of the largest robot, and the
 /// reports on these requests.
 const TRAVELLING_MAX: usize = 4 * DEVICES_MAX;
-/// Maximum drift of a simulated clock in either direction, in parts per million. It exceeds that of any real clock, but the clock still
-/// runs forward.
+/// Maximum drift of a simulated clock in either direction, in parts per million. It exceeds the drift of any real clock, but is so low
+/// that the clock still runs forward.
 const DRIFT_PPM_MAX: f64 = 100_000.0;
 
-/// A robot's machine with a simulated clock, a delayed link and faults. All times in its methods are true times.
+/// A robot's state machine with a simulated clock, a delayed link and faults. All times in its methods are true times.
 #[derive(Clone, Debug)]
 pub struct SimulatedRobot {
     robot: Robot,
@@ -126,27 +127,28 @@ pub struct SimulatedRobot {
     ntp_residue: Span,
     rng: fastrand::Rng,
     epoch: Option<Timestamp<True>>,
-    /// Cache: an instant on the robot's clock, and the same instant on the true clock. It is requested repeatedly until it is reached.
+    /// Cache: an instant on the robot's clock, and the same instant on the true clock. Until it is reached, this instant is converted
+    /// again and again.
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
     /// Cache: an instant on the true clock, and the same instant on the robot's clock.
     read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
-    /// Cache: time of the next wake-up. Cleared whenever anything changes.
+    /// Cache: time of the next wake-up. The outer `None`: not computed since the last change. The inner `None`: there is no wake-up.
     wakes: Cell<Option<Option<Timestamp<True>>>>,
     /// Messages in flight with their arrival times, ordered by arrival time, and then by sending time.
     in_flight: VecDeque<(Timestamp<True>, LaneId, InFlight)>,
-    /// State of those directions that have messages in flight; these are few.
+    /// State of those directions of links that have messages in flight. Few have.
     lanes: Vec<(LaneId, Lane)>,
     log: Vec<LogEntry>,
     outputs: Vec<Output>,
     /// Whether the robot has closed its links permanently.
     gone: bool,
-    /// The robot's hardware. `None`: the machine moves its devices without hardware.
+    /// The robot's hardware. `None`: the state machine simulates its devices without hardware.
     hands: Option<SimulatedHardware>,
     bodies: Vec<MovedBody>,
 }
 
 impl SimulatedRobot {
-    /// Creates a robot at rest, whose description lists all encodings and inquiries that this crate supports.
+    /// Creates a robot at rest. Its description states that it understands all encodings of this crate and answers inquiries.
     #[must_use]
     pub fn new(block: InitializationBlock, settings: Settings) -> Self {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
@@ -213,13 +215,13 @@ impl SimulatedRobot {
         }
     }
 
-    /// Returns the robot's machine.
+    /// Returns the robot's state machine.
     #[must_use]
     pub const fn robot(&self) -> &Robot {
         &self.robot
     }
 
-    /// Sets the position of a device, before the first command.
+    /// Sets the position that a device has before the first command.
     pub fn place(&mut self, device: &DeviceId, position: f64) {
         self.robot.place(device, position);
         for body in self.bodies.iter_mut().filter(|body| body.moves.device == *device) {
@@ -271,12 +273,12 @@ impl SimulatedRobot {
         self.forget_times();
     }
 
-    /// Takes the log entries since the last call.
+    /// Removes and returns the log entries that were added since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
     }
 
-    /// Releases the robot if its session is over.
+    /// Makes the robot available to other sessions if the session that owns it is over.
     #[cfg(feature = "host")]
     pub(crate) fn look(&mut self, now: Timestamp<True>) {
         let at = self.robot_from_true(now);
@@ -296,7 +298,8 @@ impl SimulatedRobot {
         self.dispatch(now, (link, Way::In), InFlight::In(link, input));
     }
 
-    /// Executes everything due at or before `now`: first the machine's own events, then the arrival of messages.
+    /// Executes everything due at or before `now`: the state machine's own events, and the arrival of messages. At the same instant, the
+    /// state machine's own events come first.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         if self.epoch.is_none() {
             self.epoch = Some(now);
@@ -319,8 +322,8 @@ impl SimulatedRobot {
         }
     }
 
-    /// Executes the movements due at or before `now`, unless a message arrives earlier. Their reports are sent with the next
-    /// [`SimulatedRobot::advance`].
+    /// Executes the movements due at or before `now`, unless a message arrives earlier. The reports about these movements are sent by the
+    /// next [`SimulatedRobot::advance`].
     #[cfg(feature = "host")]
     pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
         let travelling = self.next_arrival();
@@ -331,13 +334,14 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether the machine has work due at or before `by`. The arrival of messages does not count.
+    /// Whether the state machine has work due at or before `by`. The arrival of messages does not count.
     #[cfg(feature = "host")]
     pub(crate) fn moves_by(&self, by: Timestamp<True>) -> bool {
         self.due_movement(by).is_some()
     }
 
-    /// Checks the hardware before any other work, as an edge does. If the hardware answers, this only executes due events.
+    /// Checks the hardware before any other work, as a robot with real hardware does. If the hardware answers, this only executes due
+    /// events.
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {
             let at = self.robot_from_true(now);
@@ -346,7 +350,8 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether [`SimulatedRobot::advance`] has work. True while hardware is silent, so that it is checked at every opportunity.
+    /// Whether [`SimulatedRobot::advance`] has work at `now`. True while hardware is silent, so that the hardware is checked at every
+    /// opportunity.
     #[must_use]
     pub fn is_due(&self, now: Timestamp<True>) -> bool {
         let silent = self.hands.as_ref().is_some_and(|hands| hands.dead_since.is_some());
@@ -354,7 +359,7 @@ impl SimulatedRobot {
         silent || self.epoch.is_none() || self.robot.has_reports() || due()
     }
 
-    /// Returns the due time of the machine's next wake-up, if that time has been reached.
+    /// Returns the due time of the state machine's next wake-up, if that time has been reached at `now`.
     fn due_movement(&self, now: Timestamp<True>) -> Option<Timestamp<True>> {
         let due = self.robot.next_wakeup().filter(|at| *at <= self.robot_from_true(now))?;
         Some(self.true_from_robot(due))
@@ -392,7 +397,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// If the input requests the reading of a sensor that shows a body, updates this reading.
+    /// If the input requests the reading of a sensor that measures a body, updates this reading.
     fn look_at_body(&mut self, now: Timestamp<True>, input: &Input) {
         let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else {
             return;
@@ -409,7 +414,8 @@ impl SimulatedRobot {
         self.set_reading(sensor, reading);
     }
 
-    /// Returns the delay of the sensor whose reading the message contains. `None` if it has no delay.
+    /// Returns the delay of the sensor whose reading the message contains. `None` if the message contains no reading, or if the sensor
+    /// has no delay.
     fn sensor_delay(&self, message: &Message) -> Option<Span> {
         let Message::ControlResponse(response) = message else { return None };
         let of = |body: &&MovedBody| body.moves.sensor == response.device_id && body.moves.delay > Span::ZERO;
@@ -435,7 +441,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Executes the machine's outputs. The time of its next wake-up may have changed.
+    /// Executes the outputs of the state machine. Clears the cached time of its next wake-up, which may have changed.
     fn perform(&mut self, now: Timestamp<True>) {
         self.wakes.set(None);
         if self.outputs.is_empty() {
@@ -471,8 +477,8 @@ impl SimulatedRobot {
         self.outputs = outputs;
     }
 
-    /// Answers the request for a reading of the hardware at once, if the hardware works. A robot without hardware answers readings by
-    /// itself.
+    /// Answers the state machine's request for a sensor reading at once, if the hardware works. A robot without hardware answers readings
+    /// by itself.
     fn hardware_reads(&mut self, now: Timestamp<True>, reading: ReadingId, sensor: &DeviceId) {
         let Some(hands) = self.hands.as_ref().filter(|hands| hands.dead_since.is_none()) else { return };
         let value = hands.readings.get(sensor).copied().unwrap_or(0.0);

@@ -1,5 +1,5 @@
 //! Tests robots behind real sockets with a hostile peer. The peer receives an error, its link continues if possible, other links and
-//! robots are not affected, and memory stays bounded. A separate process, because the tests measure its memory.
+//! robots are not affected, and memory stays bounded. These tests run in a separate process, because they measure its memory.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::net::SocketAddr;
@@ -31,7 +31,7 @@ fn robot(id: &str, devices: usize) -> SimulatedRobot {
     SimulatedRobot::new(serde_json::from_str::<InitializationBlock>(&block).unwrap(), Settings::default())
 }
 
-/// Two robots of one host, the second with many devices, and a well-behaved peer of each.
+/// Two robots of one host, and one well-behaved peer for each robot. The second robot has many devices.
 struct Stage {
     _host: Host,
     addresses: Vec<SocketAddr>,
@@ -55,7 +55,7 @@ impl Stage {
         stage
     }
 
-    /// Returns a peer that has claimed the robot, so that its lines may be long.
+    /// Returns a peer that has claimed the first robot, so that the robot accepts long lines from it.
     async fn hostile(&self) -> Peer {
         let mut peer = Peer::connected(self.addresses[0]).await;
         peer.write(CLAIM).await;
@@ -94,7 +94,7 @@ impl Peer {
         assert_eq!(response.status, Status::Ok);
     }
 
-    /// Checks that the robot sends exactly one refusal that contains `says`, and that the link continues.
+    /// Checks that the robot refuses the peer once, that the error contains `says`, and that the link continues.
     async fn is_refused(&mut self, says: &str) {
         let error = match self.read().await {
             Message::AvailabilityResponse(response) => response.error,
@@ -113,7 +113,7 @@ fn forget_peak() {
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
 }
 
-/// Returns a value of the process's status in `/proc`, in bytes.
+/// Returns the value of a line in `/proc/self/status`, in bytes.
 fn memory(line: &str) -> usize {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let found = status.lines().find_map(|l| l.strip_prefix(line)).unwrap();

@@ -26,7 +26,7 @@
 //! | [`run`], [`link`], [`server_clock`], [`stop_lane`] | a mission in real time |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`journal`], [`recording`] | the files of a mission on the disk |
-//! | [`report`], [`show`] | the outcome of a mission; the same as text or a picture |
+//! | [`report`], [`show`] | the outcome of a mission, also as text or a picture |
 //! | [`certificate`] | the statement that a plan was played with faults |
 //! | [`requirements`] | whether figures meet the requirements of a scenario |
 //! | [`measured`] | the network and the clocks of a recorded mission, as a world file |

@@ -14,7 +14,7 @@ use crate::plan::{Act, Choreography, Positions, Wait, Way};
 /// Settings of the movement of devices to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Approach {
-    /// Duration of this movement.
+    /// Duration of the movement to the first positions.
     #[serde(rename = "over_ms")]
     pub over: Span,
     /// Positions of devices before the movement. Devices without an entry are not moved.
@@ -22,7 +22,8 @@ pub struct Approach {
 }
 
 impl Approach {
-    /// Whether `act` may be the name of a generated approach. A scenario may have an act of this name, too.
+    /// Whether `act` may be the name of a generated approach (an act that moves devices to their first positions). A scenario may also
+    /// contain an act of that name.
     #[must_use]
     pub fn may_be_named(act: &str) -> bool {
         let number = |rest: &str| rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok());
@@ -69,8 +70,8 @@ pub fn add_approach(
     Ok((choreography, 0))
 }
 
-/// Plans an act that moves devices from the positions `from` to their first positions in the act `to` or in those that follow it. The
-/// act is planned like that of [`plan_home`](crate::plan_home), with the settings of `to`. If `to` waits for the operator, the new act
+/// Plans an act that moves devices from the positions `from` to their first positions in the act `to` or in the acts after it. The act is
+/// planned in the same way as by [`plan_home`](crate::plan_home), with the settings of `to`. If `to` waits for the operator, the new act
 /// waits, too.
 ///
 /// Returns `None` if no device has to move.
@@ -94,7 +95,7 @@ pub fn plan_approach(
     Ok(ahead)
 }
 
-/// Returns the movements of devices to these positions. Lamps, and devices whose position is unknown, are not moved.
+/// Returns the movements of devices from `from` to `positions`. Lamps, and devices whose current position is unknown, are not moved.
 fn ways_to<'a>(
     choreography: &'a Choreography,
     positions: impl Iterator<Item = (&'a RobotId, &'a DeviceId, f64)>,
@@ -215,8 +216,8 @@ acts:
         assert_eq!(plan_approach(&show, 1, &fleet, &approach(0, 30.0).from).unwrap(), None);
     }
 
-    /// Plans the acts for the arm, which is at 80 degrees, before the show and after a stop. Another robot has stopped at 40 degrees, on
-    /// a rail `y` metres away from the arm's.
+    /// Plans two acts for the arm, whose joint is at 80 degrees: one before the show, one after a stop. Another robot has stopped at 40
+    /// degrees, on a rail `y` metres away from that of the arm.
     fn past_another(y: f64) -> [Result<Act, Vec<Finding>>; 2] {
         let (show, mut fleet) = show();
         let mut other = fleet.robots[0].clone();

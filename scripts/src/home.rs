@@ -15,7 +15,7 @@ const NAME: &str = "home";
 const SHORTEST: Span = Span::from_millis(1_000);
 /// The shortest duration of a planned act that linearly moves a device whose largest speed is unknown.
 const WITHOUT_LIMIT: Span = Span::from_millis(5_000);
-/// Largest fraction by which some steps on a grid are faster than the movement.
+/// Largest fraction by which steps can be faster than the movement that they represent, because they are on a grid.
 const SLACK: f64 = 0.02;
 /// Maximum number of times that the duration is doubled because a device cannot move fast enough.
 const DOUBLED_MAX: u32 = 4;
@@ -42,7 +42,7 @@ pub fn plan_home(
     Ok(act)
 }
 
-/// Plans an act that makes the given movements with the settings of the act `like`.
+/// Plans an act that makes the movements `ways`, with the settings of the act `like`.
 pub(crate) fn transfer(
     choreography: &Choreography,
     name: &str,
@@ -67,7 +67,7 @@ pub(crate) fn transfer(
     Ok(Some(act))
 }
 
-/// Returns the shortest common duration of movements that the largest speeds of their devices allow.
+/// Returns the shortest duration within which all movements are possible at the largest speeds of their devices.
 fn shortest(choreography: &Choreography, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
     let speeds = largest_speeds(choreography);
     let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {
@@ -87,7 +87,7 @@ fn shortest(choreography: &Choreography, ways: &[DeviceWay<'_>], fleet: &Fleet) 
     shortest.max().unwrap_or_default().max(SHORTEST)
 }
 
-/// Returns the largest speeds of devices that acts of the choreography use, as far as they are known.
+/// Returns the largest known speed of each device that the acts of the choreography use.
 pub(crate) fn largest_speeds(choreography: &Choreography) -> HashMap<(&RobotId, &DeviceId), f64> {
     let used = choreography.acts.iter().flat_map(|act| &act.devices);
     used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()

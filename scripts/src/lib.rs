@@ -97,7 +97,7 @@ pub use {
 #[cfg(test)]
 mod tests;
 
-/// Compiles the examples of the README with the tests.
+/// Compiles the examples in the README when the tests run.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

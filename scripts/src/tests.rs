@@ -1,4 +1,4 @@
-//! Laws of the whole compiler: it never panics, findings refer to the text, and places of findings survive aliases.
+//! Rules that hold for the whole compiler: it never panics, and findings refer to places in the text, even through aliases.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! The documents match the program.
+//! Tests that the documents match the program.
 
 use std::process::Command;
 
@@ -12,7 +12,7 @@ fn read(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// Returns the blocks of a document that open with this line.
+/// Returns the contents of the code blocks whose first line is `opening`.
 fn blocks(text: &str, opening: &str) -> Vec<String> {
     let mut blocks = Vec::new();
     let mut lines = text.lines();
@@ -30,12 +30,13 @@ fn blocks(text: &str, opening: &str) -> Vec<String> {
     blocks
 }
 
-/// The scenarios that a document shows.
+/// Returns the scenarios that a document shows.
 pub fn scenarios_of(document: &str) -> Vec<String> {
     blocks(&read(document), "```yaml scenario")
 }
 
-/// Blocks that open with "```yaml file NAME": files that the scenarios of the document use. As (name, content).
+/// Returns the name and content of each code block that opens with "```yaml file NAME". These are files that the scenarios of the
+/// document use.
 fn files(text: &str) -> Vec<(String, String)> {
     let openings = text.lines().filter(|line| line.starts_with("```yaml file "));
     openings
@@ -129,12 +130,12 @@ fn the_messages_in_the_protocol_document_are_messages() {
     assert_eq!(kinds.len(), 8, "every message is shown");
 }
 
-/// A time of day in an exchange, on the day of the examples.
+/// Parses a time of day in an exchange of messages that a document shows. The date is that of all examples.
 fn instant(time: &str) -> Timestamp<urrcp::Robot> {
     serde_json::from_str(&format!("\"2026-11-20T{time}Z\"")).unwrap_or_else(|e| panic!("{time}: {e}"))
 }
 
-/// Advances the robot to `until`, waking it at each time that it requested, and notes its output.
+/// Advances the robot to `until` and wakes it at each time that it requested. Appends the messages that it sends to `said`.
 fn advance(robot: &mut Robot, until: Timestamp<urrcp::Robot>, said: &mut Vec<String>) {
     while let Some(at) = robot.next_wakeup().filter(|at| *at <= until) {
         let mut out = Vec::new();

@@ -1,4 +1,4 @@
-//! The examples do what they are meant to show.
+//! Tests that the examples do what they are meant to show.
 
 use std::process::Command;
 
@@ -46,7 +46,7 @@ fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
     }
 }
 
-/// Positions of a drone at every millisecond, from the requests sent to it.
+/// Returns the positions of a drone at every millisecond, computed from the requests that it received: one list per axis.
 fn flown(requests: &serde_json::Value) -> [Vec<f64>; 3] {
     ["x", "y", "z"].map(|axis| {
         let request = requests.as_array().unwrap().iter().map(|request| &request["control_request"]);
@@ -107,7 +107,8 @@ fn the_picture_of_a_dry_run_shows_every_device() {
     assert_eq!(dots(&svg), 432);
 }
 
-/// Number of dots in the lanes of a picture. In the legend, the class precedes the path, so its dots are not counted.
+/// Returns the number of dots in the lanes of a picture. Dots in the legend are not counted: there, `class` is not the first attribute of
+/// the path.
 fn dots(svg: &str) -> usize {
     svg.split("<path class='dots")
         .skip(1)

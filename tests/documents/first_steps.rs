@@ -1,4 +1,4 @@
-//! The folders that `init` writes, completions and man pages.
+//! Tests the folders that `downbeat init` writes, the shell completions and the man pages.
 
 use std::fs;
 use std::path::Path;

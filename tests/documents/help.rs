@@ -1,4 +1,4 @@
-//! Help texts at any terminal width: no line is longer than the terminal, and no line breaks before it is full.
+//! Tests help texts at any terminal width: no line is longer than the terminal is wide, and no line breaks before it is full.
 
 use std::process::Command;
 
@@ -6,7 +6,7 @@ use stage::play::SOON;
 use stage::session::program;
 use stage::terminal::Terminal;
 
-/// All commands and subcommands of the program, as listed in its own help.
+/// Returns all commands and subcommands of the program, as listed in its own help.
 pub fn commands() -> Vec<String> {
     let mut commands = vec![String::new()];
     let mut next = 0;
@@ -23,10 +23,10 @@ pub fn commands() -> Vec<String> {
     commands
 }
 
-/// Help lines stay within this width even in wider terminals, because longer lines are hard to read.
+/// Maximum width of help lines in characters, even in wider terminals, because longer lines are hard to read.
 const WIDEST: usize = 100;
 
-/// Help text of a command in a terminal with this many columns.
+/// Returns the help text of a command in a terminal of the given width. `option` is the option that requests it.
 fn help(command: &str, option: &str, columns: u16) -> String {
     let terminal = Terminal::new(columns, 50);
     let watched = terminal.watch();
@@ -45,7 +45,7 @@ fn indentation(line: &str) -> usize {
     line.len() - line.trim_start().len()
 }
 
-/// Whether a line is not part of a paragraph: headings, list items, examples, defaults.
+/// Whether a line is not part of a paragraph, such as a heading, a list item, an example or a default.
 fn stands_alone(line: &str) -> bool {
     let text = line.trim_start();
     let listed = ["- ", "[", "downbeat ", "Usage: ", "-"].iter().any(|start| text.starts_with(start));

@@ -1,12 +1,12 @@
-//! The modules of a crate are layers: none imports a module that imports it, directly or through others.
+//! Tests that the modules of a crate are layers: no module imports another that imports it, directly or through others.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use stage::session::root;
 
-/// Imports of each top-level module of a crate, as paths that begin with `crate::`. Tests and the crate root are left out: the root may
-/// import anything.
+/// Returns the other modules that each top-level module of a crate imports by a path that begins with `crate::`. Tests and the crate root
+/// are left out, because the root may import anything.
 fn imports(source: &Path) -> BTreeMap<String, BTreeSet<String>> {
     let mut imports = BTreeMap::new();
     collect(source, None, &mut imports);
@@ -33,7 +33,7 @@ fn collect(folder: &Path, module: Option<&str>, imports: &mut BTreeMap<String, B
     }
 }
 
-/// Names of the modules after `crate::` in the code before the tests of the file.
+/// Returns the names of the modules after `crate::` in a file, except in its tests.
 fn imported(text: &str) -> BTreeSet<String> {
     let code = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
     let code: Vec<_> = code.lines().map(|line| line.split("//").next().unwrap_or_default()).collect();

@@ -1,4 +1,4 @@
-//! README, docs, schemas, examples and vectors match the program.
+//! Tests that README, docs, schemas, examples and test vectors match the program.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod documents;

@@ -1,6 +1,6 @@
-//! Each sentence of `docs/mission.md` and `docs/protocol.md` that promises a behaviour has a judge, which detects a violation, and a
-//! planted fault that this judge detects. `promises/table.txt` lists the sentences as [`sentences`] reads them, in document order. Each
-//! is followed by its judges, or by the reason why it promises nothing.
+//! Tests that each promise in `docs/mission.md` and `docs/protocol.md` is checked. Each sentence that promises a behaviour has a judge: a
+//! test that detects a violation. For each judge there is a planted fault, which it detects. `promises/table.txt` lists the sentences as
+//! [`sentences`] returns them, in document order. Each sentence is followed by its judges, or by the reason why it promises nothing.
 
 mod sentences;
 
@@ -15,29 +15,31 @@ use sentences::sentences;
 const TABLE: &str = include_str!("promises/table.txt");
 const DOCUMENTS: [&str; 2] = ["docs/mission.md", "docs/protocol.md"];
 
-/// A row of the table: a sentence and its judges.
+/// A row of `promises/table.txt`: a sentence and its judges, which detect violations of the sentence.
 struct Row {
     document: &'static str,
     sentence: &'static str,
     judges: Vec<Judge>,
-    /// Why the sentence promises nothing, if it has no judges.
+    /// The reason why the sentence promises nothing; `None` if it has judges.
     reason: Option<&'static str>,
 }
 
-/// Detects a violation of a promise, and is itself tested by a planted fault.
+/// A test that detects a violation of a promise. It is itself tested with a planted fault.
 #[derive(Clone, Copy, Debug)]
 enum Judge {
-    /// The simulation, by this invariant. Applying this patch of `scheduler/simulation/planted` violates it.
+    /// An invariant of the simulation, and the patch in `scheduler/simulation/planted` that plants a violation of the invariant.
     Simulation(&'static str, &'static str),
-    /// The simulation, by this invariant. This test in `scheduler/simulation/src/check/tests.rs` makes a mission violate it.
+    /// An invariant of the simulation, and the test in `scheduler/simulation/src/check/tests.rs` in which a mission violates the
+    /// invariant.
     Falsified(&'static str, &'static str),
-    /// The conformance test, by this requirement. This faulty robot or door of `tests/processes/conformance` fails it.
+    /// A requirement of the conformance test, and the faulty robot or door (which authenticates a robot's peers) in
+    /// `tests/processes/conformance` that fails it.
     Conformance(&'static str, &'static str),
     /// A test, written as `file::name`, that fails if the promise is broken.
     Test(&'static str),
 }
 
-/// Words that mark a sentence of these documents as a promise.
+/// Words that mark a sentence of the documents as a promise.
 const PROMISING: [&str; 12] = [
     "never",
     "no robot",
@@ -53,15 +55,15 @@ const PROMISING: [&str; 12] = [
     "keeps",
 ];
 
-/// Folder of the patches that plant faults.
+/// Folder of the patches that plant faults in the program.
 const PLANTED: &str = "scheduler/simulation/planted";
-/// Tests of the simulation's invariants.
+/// File of the tests in which missions violate invariants of the simulation.
 const FALSIFIED: &str = "scheduler/simulation/src/check/tests.rs";
-/// The faulty robots and doors.
+/// Folder of the faulty robots and doors (which authenticate a robot's peers) that the conformance test must detect.
 const FAULTY: &str = "tests/processes/conformance";
 
 impl Judge {
-    /// Reads a line of the table.
+    /// Parses a judge from its line in `promises/table.txt`.
     fn of(line: &'static str) -> Self {
         let parts = line.split_once(' ').and_then(|(kind, rest)| match kind {
             "test" => Some(Self::Test(rest)),
@@ -122,14 +124,14 @@ fn each_sentence_is_in_its_document_and_once_in_the_table() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Whether a source contains a test with this name.
+/// Whether the source code contains a test with the given name.
 fn has_test(source: &str, name: &str) -> bool {
     let Some((before, _)) = source.split_once(&format!("fn {name}(")) else { return false };
     let attributes = before.rsplit('}').next().unwrap_or_default();
     attributes.contains("#[test]") || attributes.contains("#[tokio::test")
 }
 
-/// Whether a robot or door with this fault is expected to fail this requirement.
+/// Whether `sources` state that a robot or door with the fault `faulty` fails the given requirement.
 fn is_failed_by(sources: &[String], requirement: &str, faulty: &str) -> bool {
     let places = [format!("\"{faulty}\","), format!("Fault::{faulty}, ")];
     // The requirements that a fault violates follow its name.

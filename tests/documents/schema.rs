@@ -1,4 +1,4 @@
-//! The published schemas agree with the parser, as far as a schema can express its rules.
+//! Tests that the published schemas accept and reject the same texts as the parser, as far as a schema can express the parser's rules.
 
 use serde_json::Value;
 

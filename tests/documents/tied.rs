@@ -1,5 +1,5 @@
-//! Facts that are stated in several places agree: the keys of messages and files in schemas, documents, vectors and the fuzzer's
-//! dictionaries. The schemas are the reference here; unit tests compare them with the parser.
+//! Tests that facts agree that are stated in several places. These are the keys of messages and files in schemas, documents, test vectors
+//! and the fuzzer's dictionaries. The schemas are the reference; unit tests compare the schemas with the parser.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
@@ -17,7 +17,7 @@ fn schema(of: &str) -> Value {
     serde_json::from_slice(&printed).unwrap()
 }
 
-/// Names of all keys of a definition.
+/// Returns the names of all keys of a definition in the schema.
 fn keys(schema: &Value, definition: &str) -> BTreeSet<String> {
     let properties = schema["$defs"][definition]["properties"].as_object();
     properties.unwrap_or_else(|| panic!("no {definition}")).keys().cloned().collect()
@@ -28,13 +28,13 @@ fn required(schema: &Value, definition: &str) -> BTreeSet<String> {
     names.into_iter().flatten().map(|name| name.as_str().unwrap().to_owned()).collect()
 }
 
-/// The words in backticks.
+/// Returns the parts of `text` in backticks.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// Tables of `docs/protocol.md`: section, first cell of the head, definition in the schema, and keys that the schema lists elsewhere
-/// because they depend on other keys.
+/// Tables in `docs/protocol.md`. Each entry has the section, the first cell of the table's head and the definition in the schema. The
+/// last field has the keys that the schema lists elsewhere, because they depend on other keys.
 const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Availability", "`availability_request`", "AvailabilityRequest", &[]),
     ("## Availability", "`availability_response`", "AvailabilityResponse", &[]),
@@ -50,7 +50,7 @@ const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Inquiry", "entry of `devices`", "DeviceReport", &[]),
 ];
 
-/// The keys that a table lists, each with its cell in column `required`.
+/// Returns the keys that a table lists, each with its cell in the column `required`.
 fn table(document: &str, section: &str, head: &str) -> BTreeMap<String, String> {
     let lines = document.lines().skip_while(|line| !line.starts_with(section));
     let lines = lines.skip_while(|line| !line.starts_with(&format!("| {head} | type |"))).skip(2);
@@ -110,7 +110,7 @@ fn the_protocol_lists_every_code_of_an_error_and_every_word_of_a_key() {
     }
 }
 
-/// Collects the keys that a message contains, with their definitions.
+/// Collects the keys that a message contains, each with the name of the schema definition that it belongs to.
 fn note(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<(String, String)>) {
     if let Some(reference) = schema["$ref"].as_str() {
         let definition = reference.rsplit('/').next().unwrap();
@@ -177,7 +177,7 @@ fn the_vectors_with_every_key_have_every_key() {
     }
 }
 
-/// Collects keys and enum words of a schema, each with the pointer to the list that contains it.
+/// Collects the keys and enum words of a schema, each with the JSON pointer to the subschema that lists it.
 fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
     match schema {
         Value::Object(map) => {
@@ -196,7 +196,8 @@ fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
     }
 }
 
-/// The section that describes a part of a schema, by the beginning of its pointer. The first match is used.
+/// The section of the documents that describes each part of a schema. Each entry has the schema, the beginning of the part's JSON
+/// pointer, the document and the heading. The first matching entry is used.
 const SECTIONS: [(&str, &str, &str, &str); 29] = [
     ("scenario", "/$defs/keyframe/properties/ease", "docs/scenario.md", "### Movements"),
     ("scenario", "/$defs/keyframe", "docs/scenario.md", "### A track"),
@@ -229,7 +230,7 @@ const SECTIONS: [(&str, &str, &str, &str); 29] = [
     ("fleet", "", "docs/scenario.md", "### The fleet file"),
 ];
 
-/// The words of the code in a section, in backticks or in code blocks.
+/// Returns the words of all code in a section, in backticks or in code blocks.
 fn code(document: &str, heading: &str) -> BTreeSet<String> {
     let from = match document.rfind(&format!("\n{heading}")) {
         Some(from) => &document[from + 1..],

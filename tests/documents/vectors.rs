@@ -1,4 +1,4 @@
-//! Runs the protocol vectors through our own decoder, encoder and robot, and through the published schema.
+//! Tests our decoder, encoder and robot, and the published schema, with the test vectors of the protocol.
 
 use std::fs;
 

@@ -1,4 +1,4 @@
-//! The largest number of acts.
+//! Tests the limit on the number of acts that a dry run plays (`--acts`).
 
 use stage::session::Session;
 

@@ -1,4 +1,4 @@
-//! A report is brief unless `--verbose` asks for the figures of each robot.
+//! Tests that a report is brief unless `--verbose` requests the figures of each robot.
 
 use stage::session::{Ran, Session, root};
 

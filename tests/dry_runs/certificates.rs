@@ -1,4 +1,5 @@
-//! A certificate permits exactly the plan that was tried against every fault, and a refusal names the difference.
+//! Tests that a certificate permits exactly the plan that a dry run has tried with every fault. If the plan differs, the refusal names
+//! the difference.
 
 use std::fs;
 
@@ -72,7 +73,8 @@ fn a_certificate_lists_every_fault_and_what_became_of_it() {
     }
 }
 
-/// Changes a certified plan, and checks that it is refused and that the refusal names the change.
+/// Replaces `from` with `to` in `file` of a certified plan. Checks that the plan is refused and that the refusal contains the texts
+/// `says`.
 #[track_caller]
 fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
     let session = certified();

@@ -1,4 +1,4 @@
-//! `downbeat graph` and `downbeat diff` at a terminal: their output for any kind of name, and their exit codes.
+//! Tests `downbeat graph` and `downbeat diff` at a terminal: their output for any kind of name, and their exit codes.
 
 use std::io::Write;
 
@@ -21,7 +21,7 @@ acts:
       - {cue: down, at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 40}, {at: 1s, to: 0}]}}
 ";
 
-/// The show, and a copy of it with these replacements.
+/// Writes the show to `a.yaml`, and a copy with the replacements `change` to `b.yaml`.
 fn two(change: &[(&str, &str)]) -> Session {
     let session = Session::new();
     let mut changed = SHOW.to_owned();

@@ -1,19 +1,19 @@
-//! Robots whose clocks drift while they play, measured by the one true clock of the virtual world.
+//! Tests robots whose clocks drift while they play. The one true clock of the virtual world measures how far apart they are.
 
 use serde_json::Value;
 
 use stage::session::Session;
 
-/// Ten minutes of nods, one per second.
+/// Ten minutes of nods, one per second: the number of repetitions, their period and the keyframes.
 const NODS: (u32, &str, &str) = (600, "1s", "{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}");
 
-/// Ten minutes of constant movement.
+/// Ten minutes of movement back and forth without a pause: the number of repetitions, their period and the keyframes.
 const SLIDES: (u32, &str, &str) = (300, "2s", "{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 0}");
 
-/// Ten minutes of one movement.
+/// A single movement of ten minutes: the number of repetitions, their period and the keyframes.
 const RIDE: (u32, &str, &str) = (1, "600s", "{at: 0s, to: 0}, {at: 600s, to: 600}");
 
-/// A cue in which these robots repeat a movement.
+/// Returns a cue in which the given robots repeat a movement.
 fn cue(robots: &str, (times, every, keyframes): (u32, &str, &str)) -> String {
     format!(
         "  - {{at: 0s, robots: [{robots}], repeat: {{times: {times}, every: {every}}}, tracks: {{rail: [{keyframes}]}}}}\n"
@@ -29,7 +29,7 @@ struct Rail {
 
 const RAIL: Rail = Rail { interpolation: "linear", queue: 2, steps: 250, inquiry: true };
 
-/// Two robots with measured clocks of ±20 ppm.
+/// Returns a session with two robots whose clocks drift by 20 ppm in opposite directions. The scheduler measures these clocks.
 fn fleet(rail: &Rail) -> Session {
     let Rail { interpolation, queue, steps, inquiry } = rail;
     let init = |id: &str| {
@@ -64,7 +64,7 @@ fn played(cues: &str, rail: &Rail) -> (i32, Value) {
     (ran.code(), ran.json())
 }
 
-/// The larger of the true spreads of starts and of last steps, in milliseconds.
+/// Returns the larger of two true spreads, in milliseconds: that of the starts and that of the last steps.
 fn spread(report: &Value) -> f64 {
     let of = |key: &str| report[key].as_f64().unwrap_or_else(|| unreachable!("no {key}: {report}"));
     of("true_spread_ms").max(of("true_end_spread_ms"))
@@ -88,7 +88,7 @@ fn robots_whose_clocks_are_measured_stay_together_for_ten_minutes() {
     }
 }
 
-/// Distance in time between the robots according to the report, in milliseconds.
+/// Returns the time in milliseconds by which the robots are apart according to the report. Checks that the mission was out of tolerance.
 fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
     assert_eq!(*code, 6, "{report}");
     report["outcome"]["out_of_tolerance"]["spread_ms"].as_f64().unwrap()

@@ -1,4 +1,4 @@
-//! Times of day in a dry run.
+//! Tests acts that wait for a time of day in a dry run.
 
 use stage::session::{Ran, Session};
 

@@ -1,4 +1,4 @@
-//! Dry runs, their pictures, pages, certificates and trials. Nothing runs in real time.
+//! Tests dry runs: their pictures, pages, certificates and trials. Nothing runs in real time.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod bound;

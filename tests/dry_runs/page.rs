@@ -1,5 +1,5 @@
-//! Pages for a browser: they show the same as the command line, for any kind of name, and a page is written completely or not at all.
-//! `viewer/test/` opens pages in a browser.
+//! Tests pages for a browser. They show the same as the command line, for any kind of name. A page is written completely or not at all.
+//! Other tests, in `viewer/test/`, open pages in a browser.
 
 use std::fs;
 use std::io::Read;
@@ -13,12 +13,12 @@ use serde_json::Value;
 
 use stage::session::{Ran, Session, program, root};
 
-/// Runs in the folder of the project, with the demo fleet.
+/// Runs the program in the folder of the project, whose `fleet.yaml` is the demo fleet.
 fn downbeat(args: &[&str]) -> Ran {
     Ran(Command::new(program()).args(args).current_dir(root()).output().unwrap())
 }
 
-/// Data in a page.
+/// The data that a page contains.
 pub struct Page {
     pub mission: Value,
     columns: Vec<u8>,
@@ -36,7 +36,7 @@ impl Page {
         Self { mission: serde_json::from_slice(json).unwrap(), columns: columns.to_vec() }
     }
 
-    /// The numbers of a column, decoded independently of the program.
+    /// Returns the numbers of a column of the page's data. The code that decodes them is independent of the program.
     pub fn numbers(&self, column: &Value) -> Vec<f64> {
         let mut bytes = self.columns[column["at"].as_u64().unwrap() as usize..].iter().copied();
         let scale = 10.0_f64.powi(column["decimals"].as_i64().unwrap() as i32);
@@ -60,7 +60,7 @@ impl Page {
         (0..column["n"].as_u64().unwrap()).map(|_| next()).collect()
     }
 
-    /// The lane of a device in a plan.
+    /// Returns the lane (the values over time) of a device in a plan.
     fn lane(&self, plan: usize, robot: &str, device: &str) -> &Value {
         let robots = self.mission["robots"].as_array().unwrap();
         let index = robots.iter().position(|known| known["id"] == robot).unwrap();
@@ -70,7 +70,7 @@ impl Page {
         lanes.iter().find(|lane| lane["robot"] == index && lane["device"] == device).unwrap()
     }
 
-    /// The steps of a device as (milliseconds since the act's start, value).
+    /// Returns the steps of a device's first script: the milliseconds since the start of the act, and the value.
     fn steps(&self, robot: &str, device: &str) -> Vec<(f64, f64)> {
         let script = &self.lane(0, robot, device)["scripts"][0];
         let start = script["start"].as_f64().unwrap();
@@ -224,7 +224,7 @@ fn an_act_that_nobody_began_is_not_shown_as_played() {
     }
 }
 
-/// A recorded mission with its recording and its journal.
+/// Plays and records a mission. Returns the session, which contains the recording and the journal.
 fn recorded() -> Session {
     let session = Session::new();
     let (example, fleet) = (root().join(SWAP), root().join("fleet.yaml"));

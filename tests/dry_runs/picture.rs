@@ -1,5 +1,5 @@
-//! Pictures of dry runs: a five-minute show with ten robots stays readable, and its file small. `DOWNBEAT_PICTURE=show.svg` keeps the
-//! picture.
+//! Tests pictures of dry runs: the picture of a five-minute show with ten robots stays readable, and its file stays small. The
+//! environment variable `DOWNBEAT_PICTURE=show.svg` keeps the picture.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use roxmltree::{Document, Node};
 
 use stage::session::Session;
 
-/// Devices of a robot: id, interpolation, minimum and maximum value.
+/// The devices of a robot. Each has an id, an interpolation, a minimum and a maximum value.
 type Devices = [(&'static str, &'static str, i32, i32); 4];
 
 const ARM: Devices = [
@@ -25,7 +25,7 @@ const LIGHT: Devices = [
 const PARTS: [&str; 6] = ["intro", "verse", "bridge", "chorus", "solo", "finale"];
 const VERBS: [&str; 5] =
     ["rises & turns", "waves to the audience", "blinks", "follows the singer <slowly>", "bows"];
-/// Length of a part, in seconds.
+/// Length of a part of the show, in seconds.
 const PART: usize = 50;
 
 fn init(kind: &str, devices: Devices) -> String {
@@ -41,7 +41,7 @@ fn init(kind: &str, devices: Devices) -> String {
     )
 }
 
-/// Track of a device in the cue of a part.
+/// Returns the YAML track of a device: a hold, a wave or a ramp. `part` is the number of its cue among the cues of the robot.
 fn track(robot: usize, part: usize, (id, interpolation, least, largest): (&str, &str, i32, i32)) -> String {
     let (middle, most) = ((least + largest) / 2, (largest - least) / (3 + part as i32 % 3));
     let length = [9, 42, 1, 33, 24][(robot * 3 + part) % 5];
@@ -79,7 +79,7 @@ fn cue(robot: usize, part: usize) -> String {
     )
 }
 
-/// Ten robots with four devices each, sixty cues, and one flick of 40 ms.
+/// Creates a show: ten robots with four devices each, sixty long cues, and one cue (`flick`) of 40 ms.
 fn show() -> Session {
     let session = Session::new();
     session.file("arm10.yaml", init("arm", ARM)).file("light.yaml", init("light", LIGHT));
@@ -135,7 +135,7 @@ fn a_show_of_five_minutes_on_ten_robots_is_readable() {
     );
 }
 
-/// Checks that 61 bars have titles, and that no name overlaps another cue of its row or leaves the picture.
+/// Checks that 61 bars have titles, and that no name overlaps another cue of its row or extends beyond the picture.
 #[track_caller]
 fn check_names(picture: &Document<'_>, width: f64) {
     // Row, begin and end of each bar.

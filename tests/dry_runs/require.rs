@@ -1,10 +1,11 @@
-//! The commands that can judge a scenario's requirements do so, and exit with code 1 if one is not met.
+//! The commands that judge a scenario's requirements: they exit with code 1 if a requirement is not met.
 
 use serde_json::{Value, json};
 
 use stage::session::{Ran, Session};
 
-/// Two moving arms with these requirements. Their bodies are balls; `left` moves from 1.8 m to 1.755 m from the other.
+/// Creates a show of two moving arms with these requirements. Their bodies are balls; the distance from `left` to `right` decreases from
+/// 1.8 m to 1.755 m.
 fn session(require: &str) -> Session {
     let session = Session::new();
     session.file(

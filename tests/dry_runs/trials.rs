@@ -1,4 +1,5 @@
-//! Worlds and trials as a user sees them: output, exit codes, and mistakes in world files.
+//! World files (the links, clocks and incidents of a network) and trials (many dry runs in such a world), as a user sees them. The tests
+//! check output, exit codes, and mistakes in world files.
 
 use serde_json::Value;
 

@@ -1,4 +1,4 @@
-//! `downbeat export`: other tools get exactly the content of the scenario, and importing it again restores it.
+//! `downbeat export`: other tools receive exactly the content of the scenario, and importing the exported file restores the scenario.
 
 use stage::session::{Session, root};
 

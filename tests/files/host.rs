@@ -14,10 +14,10 @@ start_tolerance: 1s
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 0}, {at: 300ms, to: 20}]}}]
 ";
 
-/// Longest duration of a command that must not wait.
+/// Longest permitted duration of a command that must not wait.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
-/// The user id that owns no files.
+/// Id of a foreign user, to whom root gives a file to test that Downbeat refuses the file.
 const NOBODY: u32 = 65_534;
 
 fn session() -> Session {
@@ -59,7 +59,7 @@ fn at_once(mut command: Command) -> Ran {
     Ran(child.wait_with_output().unwrap())
 }
 
-/// The folders of the missions in a state folder.
+/// Returns the folders of the missions in a state folder.
 fn missions(state: &Path) -> Vec<std::path::PathBuf> {
     std::fs::read_dir(state).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
@@ -159,7 +159,7 @@ fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
     }
 }
 
-/// A fleet with one robot that a program drives. The program creates a file when it starts.
+/// Creates a fleet in which a program drives one of the two robots. The program creates the file `started` when it starts.
 fn programmed() -> Session {
     let session = session();
     let fleet = "robots:
@@ -210,7 +210,7 @@ fn a_command_that_only_looks_starts_no_program_unless_it_is_told_to() {
 
 const SECRET: &str = "root:x:0:0:the secret";
 
-/// A project next to a file outside it, whose content must not be disclosed.
+/// Creates a project, and next to it the file `secret`, whose content must not be disclosed.
 fn outside(fleet: &str, show: &str) -> Session {
     let session = session();
     session.file("secret", SECRET).file("show/arm.yaml", ARM);

@@ -1,4 +1,4 @@
-//! `downbeat import`: from other programs' files to a scenario that passes `downbeat check`.
+//! `downbeat import`: it turns other programs' files into a scenario that passes `downbeat check`.
 
 use stage::session::{Ran, Session, program, root};
 
@@ -10,7 +10,7 @@ fn import(session: &Session, args: &[&str]) -> Ran {
     session.run(&[&["import"], args].concat())
 }
 
-/// Imports a text and expects a finding.
+/// Imports a text, and checks the exit code and the finding. Nothing is written to standard output.
 #[track_caller]
 fn check(format: &str, text: impl AsRef<[u8]>, code: i32, parts: &[&str]) {
     let session = Session::new();
@@ -27,7 +27,7 @@ fn check_csv(text: &str, parts: &[&str]) {
     import(&session, &["csv", "test.csv", "--time-unit", "s", "--map", "arm/a=a"]).says(1, parts);
 }
 
-/// Imports into a folder, and checks the written files.
+/// Imports into a folder, runs `downbeat check` on the written scenario, and expects `figures` in its output.
 #[track_caller]
 fn check_round_trip(args: &[&str], figures: &str) {
     let session = Session::new();
@@ -55,7 +55,7 @@ fn polynomial_pieces_become_a_scenario_that_passes() {
     sampled.says(0, &["- {at: 250ms, to: -3.300855}", "without --rate, the curve itself is kept"]);
 }
 
-/// All numbers of a line.
+/// Returns all numbers of a line.
 fn numbers(line: &str, separators: &[char]) -> Vec<f64> {
     line.split(separators).filter_map(|cell| cell.trim().parse().ok()).collect()
 }
@@ -91,7 +91,7 @@ fn the_steps_of_a_curve_stay_within_its_tolerance() {
     assert!(worst > 0.0 && worst <= 0.001 + 1e-9, "{worst}");
 }
 
-/// The largest number under a key, anywhere in a document.
+/// Returns the largest number under a key, anywhere in a document.
 fn largest(node: &serde_json::Value, key: &str) -> f64 {
     let inner = |value: &serde_json::Value| largest(value, key);
     match node {
@@ -512,7 +512,7 @@ fn wrong_usage_is_told() {
     import(&session, &["--help"]).says(0, &["Examples:", "downbeat import crazyswarm pp*.csv"]);
 }
 
-/// Two drones that fly towards each other until they are this far apart.
+/// Returns the waypoints of two drones that fly towards each other until `gap` meters separate them.
 fn two_routes(gap: f64) -> String {
     format!("id,x[m],y[m],z[m],t[s]\n1,0,0,1,0\n1,1,0,1,4\n2,{0},0,1,0\n2,{1},0,1,4\n", 2.0, 1.0 + gap)
 }

@@ -1,4 +1,4 @@
-//! Figures of complete sets of real files. `DOWNBEAT_DATA` names their folder.
+//! Imports complete sets of real files, and checks their values and step counts. `DOWNBEAT_DATA` names the folder of the files.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use downbeat_import::{
 use stage::session::{Session, root};
 use urrcp::Span;
 
-/// The folder of the real files. If it is not set, the tests are skipped.
+/// Returns the folder of the real files. Without this folder, the tests are skipped.
 fn data() -> Option<PathBuf> {
     std::env::var_os("DOWNBEAT_DATA").map(PathBuf::from)
 }
@@ -37,7 +37,7 @@ fn rate(rate_hz: f64) -> ImportOptions {
     ImportOptions { rate_hz: Some(rate_hz), ..ImportOptions::default() }
 }
 
-/// Minimum and maximum value over all devices of this name.
+/// Returns the minimum and the maximum value over all devices of this name.
 fn range(imported: &Imported, name: &str) -> (f64, f64) {
     let devices = imported.devices().filter(|(_, device)| device.device == name);
     let values: Vec<f64> = devices.flat_map(|(_, d)| d.keyframes.iter().map(|k| k.value)).collect();
@@ -54,14 +54,15 @@ fn check_range(imported: &Imported, name: &str, least: f64, most: f64) {
     );
 }
 
-/// The pieces of a file as numbers, read without the importer.
+/// Returns the polynomial pieces of a file as numbers, read without the importer.
 fn pieces(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let numbers = |line: &str| line.split(',').filter_map(|cell| cell.trim().parse().ok()).collect();
     text.lines().skip(1).map(numbers).collect()
 }
 
-/// Evaluates by summing powers, without Horner's rule. Where two pieces meet, either value is valid, so both are returned.
+/// Evaluates a piecewise polynomial by summing powers, without Horner's rule. Where two pieces meet, either value is valid, so both are
+/// returned.
 fn polynomial(pieces: &[Vec<f64>], axis: usize, at_s: f64) -> [f64; 2] {
     let mut start = 0.0;
     let mut values = Vec::new();

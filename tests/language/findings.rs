@@ -2,7 +2,7 @@
 
 use stage::session::Session;
 
-/// A scenario with one keyframe track; `keyframes` holds its keyframes.
+/// Returns a scenario with one keyframe track, whose keyframes are `keyframes`.
 fn scenario(keyframes: &str) -> String {
     format!("scenario: test\ncues:\n  - at: 0s\n    robots: arms\n    tracks:\n      shoulder:\n{keyframes}")
 }
@@ -74,7 +74,7 @@ fn a_bad_initialization_block_is_found_in_its_own_file() {
         .says(1, &["DB0018", "arm.yaml:", "granularity 0, for `position` of the device `shoulder`"]);
 }
 
-/// Runs `check` with 200 MB of address space in total.
+/// Runs `check` with an address space of 200 MB.
 #[track_caller]
 fn check_in_little_memory(session: &Session, code: i32, parts: &[&str]) {
     check_in_memory(session, 204_800, code, parts);

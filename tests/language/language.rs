@@ -1,4 +1,4 @@
-//! Meaning of the words of the scenario language, in compiled numbers.
+//! The meaning of the words of the scenario language, checked by the numbers of the compiled plan.
 
 use std::io::Read as _;
 use std::process::Stdio;
@@ -30,7 +30,7 @@ fn planned_with(yaml: &str, files: &[(&str, &str)]) -> Planned {
 }
 
 impl Planned {
-    /// Start and end of a cue of the first act, in milliseconds.
+    /// Returns start and end of a cue of the first act, in milliseconds.
     #[track_caller]
     fn cue(&self, name: &str) -> (f64, f64) {
         let cues = self.0["acts"][0]["cues"].as_array().unwrap();
@@ -43,7 +43,7 @@ impl Planned {
         requests.map(|request| &request["control_request"]).filter(|r| r["device_id"] == device).collect()
     }
 
-    /// All steps of a device as (milliseconds since the act's start, value).
+    /// Returns all steps of a device as (milliseconds since the start of the act, value).
     #[track_caller]
     fn steps(&self, robot: &str, device: &str) -> Vec<(f64, f64)> {
         let mut steps = Vec::new();
@@ -327,7 +327,8 @@ fn warnings_are_errors_where_they_are_denied_and_findings_become_sarif() {
     assert_eq!(result["locations"][0]["physicalLocation"]["region"]["startLine"], 3);
 }
 
-/// The job shop ft06 (Muth and Thompson, 1963; proven optimum 55) as cues that need machines, all finished by a deadline.
+/// Returns the job shop ft06 (Muth and Thompson, 1963; proven optimum 55) as a scenario. Its tasks are cues that need machines and have
+/// to end by `deadline`.
 fn job_shop(deadline: &str) -> String {
     let text = std::fs::read_to_string(root().join("tests/fixtures/jobshop/instances.json")).unwrap();
     let shop: Value = serde_json::from_str::<Value>(&text).unwrap()["ft06"].take();

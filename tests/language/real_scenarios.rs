@@ -1,11 +1,11 @@
-//! Complete sets of real files, imported and checked. `DOWNBEAT_DATA` names their folder.
+//! Imports complete sets of real files, and checks the results. `DOWNBEAT_DATA` names the folder of the files.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use stage::session::{Session, root};
 
-/// The folder of the real files. If it is not set, the tests are skipped.
+/// Returns the folder of the real files. Without this folder, the tests are skipped.
 fn data() -> Option<PathBuf> {
     std::env::var_os("DOWNBEAT_DATA").map(PathBuf::from)
 }
@@ -144,7 +144,7 @@ fn nineteen_scenes_of_seven_drones_fit_as_nineteen_acts_and_are_refilled_as_one(
         .says(0, &["done", "28/28", "796/796"]);
 }
 
-/// The folder with seven subfolders of nineteen scenes.
+/// Returns the folder `sequence_trajectories`, whose seven subfolders contain nineteen scenes.
 fn sequence(data: &Path) -> PathBuf {
     fn find(folder: &Path) -> Option<PathBuf> {
         for entry in std::fs::read_dir(folder).ok()?.flatten() {

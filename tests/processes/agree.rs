@@ -1,9 +1,9 @@
-//! Compares dry runs with reality: each example is played by processes over TCP and recorded, `downbeat world` measures the links and
-//! clocks of that mission, and a dry run in that world must decide and set the same.
+//! Compares dry runs with reality. Processes play each example over TCP, and the mission is recorded. `downbeat world` measures the links
+//! and clocks of that mission. A dry run with these measurements has to make the same decisions and set the same values.
 //!
-//! The delay with which a busy machine wakes a robot is judged by the real mission's own report: its largest start error, the allowance
-//! for wake-ups, and its robots' late steps. A clock may be off by as much as the world states. A slow machine therefore increases these
-//! figures without failing a test.
+//! The report of the real mission states the delay with which a busy machine wakes a robot: as its largest start error, its allowance for
+//! wake-ups, and its robots' late steps. These figures and the clock errors that `downbeat world` states are the permitted differences. A
+//! slow machine therefore increases the figures without failing a test.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -21,15 +21,15 @@ use urrcp::Span;
 use stage::session::root;
 use stage::{Logged, Stage, nanos};
 
-/// From this delay on, a robot counts a step as late, in milliseconds (`late_steps` in docs/protocol.md).
+/// Delay in milliseconds from which a robot counts a step as late (`late_steps` in docs/protocol.md).
 const LATE_MS: f64 = 1.0;
-/// Rounding of times in a report, in milliseconds.
+/// Precision to which a report rounds times, in milliseconds.
 const ROUNDED_MS: f64 = 0.001;
 
 struct Show {
     name: &'static str,
     robots: &'static [&'static str],
-    /// Whether an operator gives the go.
+    /// Whether an operator gives the go, which the second act waits for.
     attended: bool,
 }
 
@@ -42,7 +42,7 @@ const SHOWS: [Show; 6] = [
     Show { name: "cue", robots: &["tank-1"], attended: true },
 ];
 
-/// A scenario that waits for an operator, unlike all examples.
+/// A scenario that waits for an operator, which none of the repository's examples does.
 const CUE: &str = "scenario: cue
 stop_condition: {running: 1s}
 acts:
@@ -53,7 +53,7 @@ acts:
     cues: [{at: 0s, robots: tank-1, tracks: {left_engine: [{at: 0s, to: -20}, {at: 400ms, to: 0}]}}]
 ";
 
-/// Returns the description of a robot of the demo fleet.
+/// Returns the path of the description of a robot of the demo fleet.
 fn init_of(robot: &str) -> String {
     let name = match robot.split(['-', '1', '2', '3', '4', '5', '6']).next() {
         Some("arm") => "ur5e",
@@ -67,8 +67,8 @@ fn init_of(robot: &str) -> String {
 }
 
 impl Show {
-    /// Starts its robots, and writes the demo fleet with their addresses, and the scenario. A busy machine may start a robot later than
-    /// the example tolerates, which would change the outcome.
+    /// Starts the robots of the show, and writes its scenario and the demo fleet with their addresses. The start tolerance becomes 1 s: a
+    /// busy machine may start a robot later than the example tolerates, which would change the outcome.
     fn stage(&self) -> Stage {
         let mut stage = Stage::new();
         let scripts = format!("init: {}/scripts/", root().display());
@@ -94,7 +94,7 @@ impl Show {
         stage
     }
 
-    /// Plays it with processes, and measures the world of that mission.
+    /// Plays the show with processes, measures the links and clocks of that mission, and returns its report.
     fn play(&self, stage: &Stage) -> Value {
         // The descriptions of the robots are in the repository, outside the stage.
         let run = ["run", "show.yaml", "--project", "/", "--record", "real.mcap", "--format", "json"];
@@ -112,7 +112,7 @@ impl Show {
         ended.report()
     }
 
-    /// Plays it in that world in virtual time.
+    /// Plays the show in virtual time, with the links and clocks that were measured in the real mission.
     fn rehearse(&self, stage: &Stage) -> (Played, World) {
         let (fleet, findings) =
             read_fleet_within(&stage.path("fleet.yaml"), &Project::within(Path::new("/")).unwrap());
@@ -131,13 +131,13 @@ impl Show {
     }
 }
 
-/// Returns only these keys of some rows of a report.
+/// Returns some rows of a report, reduced to these keys.
 fn only(rows: &Value, keys: &[&str]) -> Value {
     let row = |row: &Value| keys.iter().map(|key| ((*key).to_owned(), row[*key].clone())).collect();
     rows.as_array().into_iter().flatten().map(row).map(Value::Object).collect()
 }
 
-/// The part of a report that is the same in every run of a plan: everything except times, names of sessions and repetitions. The
+/// Returns the part of a report that is the same in every run of a plan: everything except times, session names and repetitions. The
 /// numbers of acts count repetitions, so they are omitted too.
 fn decided(report: &Value) -> Value {
     let robot = |robot: &Value| json!([robot["robot"], robot["left_out"], only(&robot["devices"], &DEVICE)]);
@@ -162,11 +162,11 @@ const ROBOT: [&str; 8] =
 /// A value that a device was set to.
 #[derive(Debug)]
 struct Set {
-    /// Motion, robot and script, step, value.
+    /// Kind of motion; robot and script as `robot/script`; step; value.
     what: (String, String, Option<u64>, f64),
-    /// Number of the act; `None` if it belongs to no act.
+    /// Number of the act; `None` if the value belongs to no act.
     act: Option<u64>,
-    /// By the true clock.
+    /// Time at which the value was set, by the true clock, in nanoseconds.
     at: i64,
 }
 
@@ -220,7 +220,7 @@ fn largest(value: &Value, key: &str) -> f64 {
     }
 }
 
-/// Returns the act of a value in a report, if the value belongs to an act.
+/// Returns the act to which a value belongs; `None` if it belongs to no act of the report.
 fn act_of<'a>(set: &Set, report: &'a Value) -> Option<&'a Value> {
     let number = set.act?;
     report["acts"].as_array().unwrap().iter().find(|act| act["number"] == number)
@@ -230,33 +230,34 @@ fn name_of_act(set: &Set, report: &Value) -> Option<String> {
     act_of(set, report).map(|act| act["act"].to_string())
 }
 
-/// Skips the rests at the beginning. A device at rest logs the stop of each attempt for which this machine was too slow.
+/// Skips the rests at the beginning. Each attempt that this machine was too slow for ends with a stop, and a device at rest logs this
+/// stop as a rest.
 fn after_attempts<'s>(sets: &'s [Set], report: &Value) -> &'s [Set] {
     let attempts = report["acts"][0]["prepared_again"].as_u64().unwrap_or_default();
     let rests = sets.iter().take_while(|set| set.act.is_none() && set.what.0 == "rest").count();
     &sets[rests.min(usize::try_from(attempts).unwrap())..]
 }
 
-/// Returns the time after the planned start of its act, in milliseconds.
+/// Returns how long after the planned start of its act a value was set, in milliseconds.
 fn after_start(set: &Set, report: &Value) -> f64 {
     let act = act_of(set, report).unwrap();
     (set.at - nanos(act["start"].as_str().unwrap())) as f64 / 1e6
 }
 
-/// Returns the maximum clock error in a world, in milliseconds: the error that its recording cannot exclude.
+/// Returns the largest clock error of a measured world, in milliseconds: the error that the recording cannot exclude.
 fn clock_error(world: &World) -> f64 {
     let error = |clock: &ClockWorld| clock.error.unwrap_or(Span::ZERO).as_millis_f64();
     world.clocks.iter().flatten().map(error).fold(0.0, f64::max)
 }
 
-/// Differences between the times of two runs.
+/// The largest differences between the times of two runs.
 #[derive(Default)]
 struct Apart {
     steps: usize,
-    /// Milliseconds, for first steps of scripts, and for all others.
+    /// Largest difference for the first steps of scripts, in milliseconds; `others` is that of all other steps.
     starts: f64,
     others: f64,
-    /// Number of steps with a larger difference than those of a robot that is not late.
+    /// Number of steps whose difference is larger than that of a robot that is not late.
     beyond: u64,
 }
 

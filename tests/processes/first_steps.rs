@@ -1,4 +1,5 @@
-//! The first steps of a newcomer on real robots: the shows that `init` writes, and the tours of README and tutorial, word for word.
+//! The first steps of a newcomer: the shows that `init` writes, and the tours of README and tutorial. They are played word for word on
+//! real processes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -20,7 +21,7 @@ fn downbeat(folder: &Path, args: &[&str]) -> Ran {
     Ran(command.output().unwrap())
 }
 
-/// Templates, and whether their show waits for the operator.
+/// The templates of `downbeat init`, and for each whether its show waits for the operator.
 const TEMPLATES: [(&str, bool); 4] = [("arms", false), ("drones", false), ("stage", true), ("edge", false)];
 
 #[test]
@@ -57,9 +58,9 @@ fn every_template_runs_at_once() {
     }
 }
 
-/// A block of a document, as a newcomer would use it.
+/// A code block of a document, as a newcomer would use it.
 enum Block {
-    /// Commands, and whether the last one fails.
+    /// Shell commands, and whether the last one is expected to fail.
     Commands {
         text: String,
         fails: bool,
@@ -68,7 +69,7 @@ enum Block {
         name: String,
         text: String,
     },
-    /// Output of the preceding commands, and whether it contains measurements of a mission, which differ each time.
+    /// Output of the preceding commands, and whether it contains measurements of a mission, which differ in each run.
     Output {
         text: String,
         measured: bool,
@@ -99,7 +100,8 @@ fn tour(document: &str) -> Vec<Block> {
     blocks
 }
 
-/// Returns a script that plays all blocks in one shell, like a newcomer's: it enters folders, and robots run in the background.
+/// Returns a shell script that plays all blocks in one shell, as a newcomer would: it changes the folder, and robots run in the
+/// background.
 fn script(blocks: &[Block], out: &Path) -> String {
     let mut script = String::from("trap 'kill $(jobs -p) 2>/dev/null' EXIT\n");
     for (number, block) in blocks.iter().enumerate() {
@@ -140,7 +142,7 @@ fn the_tutorial_works_word_for_word_in_an_empty_folder() {
     works_word_for_word("docs/tutorial.md");
 }
 
-/// Plays the commands of a document in an empty folder; returns the exit status of the shell, and the output of each block.
+/// Plays the commands of a document in an empty folder. Returns the exit status of the shell, and the output of each block.
 fn play(blocks: &[Block]) -> (ExitStatus, Vec<String>) {
     let folder = TempDir::new().unwrap();
     let out = TempDir::new().unwrap();
@@ -158,7 +160,7 @@ fn play(blocks: &[Block]) -> (ExitStatus, Vec<String>) {
     (ended, (0..blocks.len()).map(printed).collect())
 }
 
-/// Returns a line without the digits of its times of day, decimal numbers and uncertainties.
+/// Returns a line without the digits of measurements: times of day, decimal numbers, and uncertainties (`±`).
 fn without_measurements(line: &str) -> String {
     let measured = |word: &str| word.contains('.') || word.starts_with('±');
     let without_digits = |word: &str| word.replace(|c: char| c.is_ascii_digit() || c == '.', "");
@@ -167,7 +169,7 @@ fn without_measurements(line: &str) -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-/// Plays every command of a document, and compares the quoted output with the actual output.
+/// Plays every command of a document, and compares the output that the document quotes with the actual output.
 #[track_caller]
 fn works_word_for_word(document: &str) {
     let blocks = tour(document);

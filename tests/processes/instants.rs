@@ -1,6 +1,6 @@
-//! One robot of three is frozen, killed, cut off or restarted at a random instant of a mission of two or three acts with two or three
-//! scripts per device. Report and exit code have to agree with the robots' own logs. `DOWNBEAT_INSTANTS=100` sets the number of missions,
-//! `DOWNBEAT_INSTANTS_FIRST=17` the first one.
+//! Missions of three robots, two or three acts, and two or three scripts per device. One robot is frozen, killed, cut off or restarted at
+//! a random instant. Report and exit code have to agree with the robots' own logs. `DOWNBEAT_INSTANTS=100` sets the number of missions,
+//! `DOWNBEAT_INSTANTS_FIRST=17` the number of the first one.
 
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -16,35 +16,35 @@ use stage::{Ended, Logged, Stage, Via, epoch_nanos, nanos};
 const ROBOTS: usize = 3;
 /// Number of steps of one script.
 const STEPS: usize = 4;
-/// Number of values that are reserved for one act.
+/// Number of consecutive values that are reserved for each act, so that a value identifies its act.
 const VALUES: usize = 20;
-/// Lease of the scripts, in nanoseconds.
+/// Lease of the scripts, in nanoseconds: how long a robot plays without a message from the scheduler.
 const LEASE: i64 = 700_000_000;
-/// Maximum delay that a busy machine may add to an instant.
+/// Maximum delay that a busy machine may cause, in nanoseconds.
 const BUSY: i64 = 250_000_000;
 
-/// A fault of a robot, and its duration.
+/// A fault of a robot, and its duration; `None` if it is permanent.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Frozen(Option<Duration>),
-    /// Its link is closed, and new connections are refused.
+    /// The robot's link is closed, and new connections are refused.
     Cut(Option<Duration>),
-    /// Its link is closed, and new connections stay open and carry nothing.
+    /// The robot's link is closed; new connections stay open and carry nothing.
     Interrupted(Option<Duration>),
-    /// Its link stays open and carries nothing.
+    /// The robot's link stays open and carries nothing.
     Muted(Option<Duration>),
     Killed,
     Restarted,
 }
 
-/// A mission and its fault, all drawn from one seed.
+/// A random mission and its fault, all derived from one seed.
 #[derive(Debug)]
 struct Drawn {
     queue: usize,
     on_failure: &'static str,
-    /// Number of scripts of each act.
+    /// Number of scripts per device, for each act.
     acts: Vec<usize>,
-    /// Interval between two steps.
+    /// Interval between two steps, in milliseconds.
     every_ms: usize,
     victim: usize,
     fault: Fault,
@@ -104,7 +104,7 @@ impl Drawn {
         stage
     }
 
-    /// Causes the fault, and ends it if it is temporary.
+    /// Causes the fault. If it is temporary, waits for its duration and ends it.
     fn strike(&self, stage: &mut Stage) {
         let wait = |lasts: Option<Duration>| lasts.map(std::thread::sleep).is_some();
         let robot = &mut stage.robots[self.victim];
@@ -131,7 +131,7 @@ impl Drawn {
         }
     }
 
-    /// Whether the end of its log may be missing, because its process was killed.
+    /// Whether the faulty robot's process is killed, so that the end of its log may be missing.
     fn loses_its_memory(&self) -> bool {
         matches!(self.fault, Fault::Killed | Fault::Restarted)
     }
@@ -145,9 +145,9 @@ struct Played {
     drawn: Drawn,
     ended: Ended,
     report: Value,
-    /// End of the program, by the host's clock.
+    /// Time at which the program ended, by the host's clock, in nanoseconds.
     gone: i64,
-    /// The values of scripts that each robot set.
+    /// For each robot, the values of scripts that it set.
     sets: Vec<Vec<Logged>>,
 }
 
@@ -166,7 +166,7 @@ fn play(seed: u64) -> Played {
     Played { drawn, ended, report, gone, sets }
 }
 
-/// Collects contradictions.
+/// Collects contradictions between the report of a mission and the robots' logs.
 struct Judge<'a> {
     played: &'a Played,
     wrong: Vec<String>,
@@ -210,7 +210,7 @@ impl Judge<'_> {
         self.say(!fits, || what);
     }
 
-    /// Checks the report about one robot over all acts.
+    /// Checks the row of the report about one robot, which covers all acts, against the robot's log.
     fn row(&mut self, robot: usize) {
         let row = &self.played.report["robots"][robot];
         let victim = robot == self.played.drawn.victim;
@@ -240,7 +240,7 @@ impl Judge<'_> {
         self.say(beyond > 0, || format!("(lease) r{robot} did {beyond} steps after the end of its lease"));
     }
 
-    /// Checks that every value occurs at most once, in order, and that all occur if the mission is done.
+    /// Checks a robot's log: every value occurs at most once, and in order. If the mission is done, all values occur.
     fn log(&mut self, robot: usize) {
         let planned = self.played.drawn.values();
         let set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
@@ -256,7 +256,7 @@ impl Judge<'_> {
         self.say(all && set != planned, || what);
     }
 
-    /// Checks the report about each script.
+    /// Checks the report about each script against the robots' logs.
     fn acts(&mut self) {
         for act in self.played.report["acts"].as_array().unwrap() {
             let number: usize = act["act"].as_str().unwrap().rsplit('-').next().unwrap().parse().unwrap();
@@ -281,7 +281,7 @@ impl Judge<'_> {
         self.say(said > set + torn || ended || never, || format!("(script) {which}"));
     }
 
-    /// Checks that robots without a fault start an act together, or none does.
+    /// Checks for each act that all robots without a fault start it, or none of them does.
     fn together(&mut self) {
         let sound = || (0..ROBOTS).filter(|robot| *robot != self.played.drawn.victim);
         for act in 0..self.played.drawn.acts.len() {
@@ -294,7 +294,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Checks that only the faulty robot has failed. The busy machine may make others seem silent.
+    /// Checks that no robot without a fault has failed. These robots may only seem silent, because the machine is busy.
     fn blame(&mut self) {
         let victim = format!("r{}", self.played.drawn.victim);
         for failure in self.played.report["failures"].as_array().unwrap() {

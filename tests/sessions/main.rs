@@ -1,4 +1,4 @@
-//! Shell sessions, compared completely with their approved text.
+//! Replays shell sessions, and compares their complete text with the approved text.
 //!
 //! `findings/` has a session for each kind of mistake in a scenario or fleet; `mistakes/` has the mistakes that beginners make with the
 //! program. A session is one file: a title in its first line, then commands after `$ ` (continued after `> `), each with its output. The
@@ -24,7 +24,7 @@ fn folder(kind: &str) -> PathBuf {
     root().join("tests/sessions").join(kind)
 }
 
-/// The sessions of one kind, sorted by name.
+/// Returns the paths of the sessions of one kind, sorted by name.
 fn sessions(kind: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder(kind)).unwrap().map(|entry| entry.unwrap().path());
     let mut sessions: Vec<_> =
@@ -63,7 +63,8 @@ impl Typed {
     }
 }
 
-/// A copy of the folder of a kind, and the port `$USED`, on which this process listens without ever answering.
+/// A copy of the folder in which the sessions of a kind run. `listener` is the port `$USED`, on which this process listens without ever
+/// answering.
 struct Desk {
     folder: TempDir,
     listener: TcpListener,
@@ -108,7 +109,7 @@ impl Desk {
         (without_mission_names(&text), ran.status.code().unwrap())
     }
 
-    /// Repeats the commands of an approved session.
+    /// Repeats the commands of an approved session. Returns the session with the current output.
     fn replay(&self, session: &str) -> String {
         let typed = Typed::of(session);
         let mut text = format!("{}\n\n", typed.title);
@@ -223,7 +224,7 @@ fn every_code_has_a_test_that_triggers_it() {
     }
 }
 
-/// Phrases that mark advice. An instruction that begins with one of [`INSTRUCTIONS`] is advice as well.
+/// Phrases that identify advice in a message. An instruction that begins with one of [`INSTRUCTIONS`] is advice as well.
 const ADVICE: [&str; 16] = [
     "help: ",
     "tip: ",

@@ -1,11 +1,11 @@
-//! Without a router: the process of the robots listens, and schedulers connect to it.
+//! Missions over Zenoh without a router: the process of the robots listens, and schedulers connect to it.
 
 use std::process::Stdio;
 
 use crate::network::{STEPS, client, fleet, lies, listening, names, outcome, sets, simulated, stage, start};
 use stage::{Process, Stage, free_port};
 
-/// Robots in one process, and a fleet file with which schedulers reach them.
+/// Starts `count` robots in one process, and writes a fleet file with which schedulers reach them.
 fn set_up(count: usize, running: &str) -> (Stage, Process) {
     let (stage, port) = (stage(running), free_port());
     stage.file("robots.json5", listening(port)).file("scheduler.json5", client(port));

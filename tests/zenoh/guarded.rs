@@ -1,5 +1,5 @@
-//! The configurations of docs/zenoh with certificates: which members are admitted, and which are rejected. The tests need `zenohd`;
-//! `ZENOHD` names it.
+//! The Zenoh configurations of docs/zenoh with certificates: which members of the network they admit, and which they reject. The tests
+//! need the program `zenohd`; the variable `ZENOHD` contains its path.
 
 use std::process::Stdio;
 
@@ -8,11 +8,11 @@ use rcgen::{BasicConstraints, Certificate, CertificateParams, DnType, IsCa, Issu
 use crate::network::{Router, fleet, lies, names, outcome, sets, simulated, stage_of};
 use stage::{Stage, free_port};
 
-/// `LONG` is the number of steps of a 15 KB script, and `ROBOTS` the number of robots that play it.
+/// Number of steps of the script, which makes it 15 KB long; `ROBOTS` robots play it.
 const LONG: u32 = 200;
 const ROBOTS: usize = 8;
 
-/// A file of docs/zenoh with the paths and addresses of this test, and with the certificate of `name` instead of that of `of`.
+/// Returns the file `of` of docs/zenoh with the addresses of this test, and with the certificate of `name` instead of that of `of`.
 fn documented(of: &str, name: &str, port: u16, connects: &str) -> String {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/zenoh/{of}.json5"));
     let text = std::fs::read_to_string(path).unwrap();
@@ -32,7 +32,7 @@ fn authority(name: &str) -> (Certificate, Issuer<'static, KeyPair>) {
     (certificate, Issuer::new(params, key))
 }
 
-/// Writes a certificate signed by an authority, and its key.
+/// Writes a certificate that the authority has signed, and its key.
 fn certify(stage: &Stage, name: &str, file: &str, authority: &Issuer<'static, KeyPair>) {
     let mut params = CertificateParams::new(vec!["127.0.0.1".to_owned(), "localhost".to_owned()]).unwrap();
     params.distinguished_name.push(DnType::CommonName, name);

@@ -1,4 +1,4 @@
-//! Robots at keys of a Zenoh network: connected to schedulers directly, or behind routers.
+//! Robots that are addressed by keys of a Zenoh network. Schedulers reach them directly or through routers.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 

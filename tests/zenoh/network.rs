@@ -1,4 +1,4 @@
-//! Fleets at keys, the processes that simulate them, and routers.
+//! Fleets of robots that are addressed by Zenoh keys, the processes that simulate them, and routers.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -12,21 +12,21 @@ use serde_json::Value;
 
 use stage::{Ended, Logged, Process, Stage, one_device};
 
-/// Number of steps in the scenario, and the time between them.
+/// Number of steps in the scenario; `EVERY_MS` is the time between them.
 pub const STEPS: u32 = 40;
 pub const EVERY_MS: u32 = 100;
 
-/// Configuration of a member that listens on this port, so that others can connect to it.
+/// Returns the configuration of a Zenoh member that listens on this port, so that others can connect to it.
 pub fn listening(port: u16) -> String {
     format!("{{mode: \"peer\", listen: {{endpoints: [\"tcp/127.0.0.1:{port}\"]}}}}")
 }
 
-/// Configuration of a member that connects to this port.
+/// Returns the configuration of a Zenoh member that connects to this port.
 pub fn client(port: u16) -> String {
     format!("{{mode: \"client\", connect: {{endpoints: [\"tcp/127.0.0.1:{port}\"]}}}}")
 }
 
-/// Fleet file of robots with these names at keys of one hall.
+/// Returns a fleet file of robots with these names, each at the Zenoh key `hall/NAME`. `zenoh` is the configuration file.
 pub fn fleet(names: &[String], zenoh: &str) -> String {
     let row = |name: &String| format!("  {name}: {{init: robot.yaml, address: 'zenoh:hall/{name}'}}\n");
     let rows: String = names.iter().map(row).collect();
@@ -37,13 +37,12 @@ pub fn names(first: usize, count: usize) -> Vec<String> {
     (first..first + count).map(|i| format!("r{i}")).collect()
 }
 
-/// A folder with a robot and a scenario in which all robots play 1, 2, 3, and so on, under this running lease. Failed robots are left
-/// out.
+/// Returns a stage with a scenario in which all robots play 1, 2, 3, and so on, with this running lease. Robots that fail are left out.
 pub fn stage(running: &str) -> Stage {
     stage_where(running, "without")
 }
 
-/// Like [`stage`], with this rule for failures.
+/// Like [`stage`], with the `on_failure` setting of the scenario.
 pub fn stage_where(running: &str, on_failure: &str) -> Stage {
     stage_of(running, on_failure, STEPS, EVERY_MS)
 }
@@ -65,14 +64,14 @@ pub fn stage_of(running: &str, on_failure: &str, steps: u32, every_ms: u32) -> S
     stage
 }
 
-/// A track that rises by 1 with every step up to `top`, then falls again, and so on.
+/// Returns a YAML track that rises by 1 with every step up to `top`, then falls by 1 with every step, and so on.
 pub fn track(steps: u32, every_ms: u32, top: u32) -> String {
     let value = |step: u32| 1 + (step % (2 * top)).min(2 * top - step % (2 * top));
     let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, value(step));
     (0..steps).map(keyframe).collect::<Vec<_>>().join(", ")
 }
 
-/// A process that simulates the robots of a fleet file. Returns when all of them listen.
+/// Starts a process that simulates the robots of a fleet file, and returns it when all `count` robots listen.
 pub fn simulated(stage: &Stage, fleet: &str, count: usize, args: &[&str]) -> Process {
     let mut command =
         stage.command(&[&["sim", fleet, "--log-file", &format!("{fleet}.jsonl")], args].concat());
@@ -83,7 +82,7 @@ pub fn simulated(stage: &Stage, fleet: &str, count: usize, args: &[&str]) -> Pro
     process
 }
 
-/// Waits until the journal of the only mission contains this record.
+/// Waits until the journal of the only mission contains a record of this kind, and returns the record.
 pub fn recorded(stage: &Stage, record: &str) -> Value {
     let began = Instant::now();
     let find = || {
@@ -103,12 +102,12 @@ pub fn recorded(stage: &Stage, record: &str) -> Value {
     }
 }
 
-/// Planned start of the only mission, in nanoseconds since the epoch. Returns as soon as its first request may be sent.
+/// Waits until the only mission plans its start, just before it sends requests. Returns that start, in nanoseconds since the epoch.
 pub fn start(stage: &Stage) -> i64 {
     stage::nanos(recorded(stage, "prepared")["start"].as_str().unwrap())
 }
 
-/// The values that each robot of these fleets has set, by name.
+/// Returns, by the name of the robot, the values that each robot of these fleets has set.
 pub fn sets(stage: &Stage, fleets: &[&str]) -> BTreeMap<String, Vec<Logged>> {
     // Logs are written within 50 ms.
     std::thread::sleep(Duration::from_millis(300));
@@ -122,7 +121,7 @@ pub fn sets(stage: &Stage, fleets: &[&str]) -> BTreeMap<String, Vec<Logged>> {
     sets
 }
 
-/// The robots whose rows in the report contradict their logs.
+/// Returns the robots whose rows in the report contradict their logs, with the number of logged values and the row.
 pub fn lies(ended: &Ended, sets: &BTreeMap<String, Vec<Logged>>) -> Vec<String> {
     let report = ended.report();
     let mut lies = Vec::new();
@@ -144,17 +143,17 @@ pub fn outcome(ended: &Ended) -> Value {
     ended.report()["outcome"].clone()
 }
 
-/// A relay to a port. Counts the steps of scripts that the connecting side sends.
+/// A relay to a port, which counts the steps of scripts that the connecting side sends.
 pub struct Relay {
     pub port: u16,
     steps: Arc<AtomicU64>,
 }
 
-/// Occurs exactly once in a step in JSON, and nowhere outside of steps.
+/// Text that occurs exactly once in each step in JSON, and nowhere outside steps.
 const IN_A_STEP: &[u8] = b"\"position\"";
 
 impl Relay {
-    /// Starts the relay. Its threads end with their connections.
+    /// Starts a relay to this port. Its threads end with their connections.
     pub fn to(port: u16) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let relay = Self { port: listener.local_addr().unwrap().port(), steps: Arc::default() };
@@ -173,7 +172,7 @@ impl Relay {
         relay
     }
 
-    /// Number of steps seen in plain text. Where Zenoh splits a message into fragments, some are missed.
+    /// Returns the number of steps that the relay has recognised. It misses steps that Zenoh splits into fragments.
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
@@ -194,7 +193,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, counted: &AtomicU64) {
     let _gone = to.shutdown(Shutdown::Both);
 }
 
-/// A router that can be killed and restarted.
+/// A Zenoh router that can be killed and restarted.
 pub struct Router {
     config: std::path::PathBuf,
     pub port: u16,
@@ -202,7 +201,7 @@ pub struct Router {
 }
 
 impl Router {
-    /// Starts a router that connects to others.
+    /// Starts a router that connects to the routers at the ports `others`.
     pub fn start(stage: &Stage, name: &str, others: &[u16]) -> Self {
         let port = stage::free_port();
         let others: Vec<_> = others.iter().map(|port| format!("\"tcp/127.0.0.1:{port}\"")).collect();

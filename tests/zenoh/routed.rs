@@ -1,5 +1,6 @@
-//! Three routers, a fleet behind two of them, the scheduler at the third, and a router that is killed and restarted. `.ci/zenoh` runs
-//! these tests: they need `zenohd`, which `ZENOHD` names. `ZENOH_ROBOTS` is the size of the fleet.
+//! Three routers with a fleet behind two of them and the scheduler behind the third; some tests kill and restart a router. `.ci/zenoh`
+//! runs these tests, because they need the program `zenohd`, whose path is in the variable `ZENOHD`. `ZENOH_ROBOTS` is the size of the
+//! fleet.
 #![expect(clippy::print_stdout, reason = "figures for docs/zenoh.md")]
 
 use std::time::{Duration, Instant};
@@ -9,7 +10,7 @@ use crate::network::{
 };
 use stage::{Ended, Process, Stage};
 
-/// The fleet, and the routers and processes through which it is reached.
+/// A fleet of robots, and the routers through which the scheduler reaches them.
 struct Hall {
     stage: Stage,
     count: usize,
@@ -43,7 +44,7 @@ impl Hall {
         self.stage.start(&["run", "play.yaml", "--format", "json", "--patience", "60s"])
     }
 
-    /// Returns how many robots moved, and how many of them to the end. Fails if the report contradicts the logs.
+    /// Checks the report against the logs. Returns how many robots moved, and how many of them played to the end.
     #[track_caller]
     fn agree(&self, ended: &Ended, what: &str) -> (usize, usize) {
         let sets = sets(&self.stage, &["b.yaml", "c.yaml"]);
@@ -61,7 +62,8 @@ impl Hall {
         (sets.len(), whole)
     }
 
-    /// Plays while the router of the first half is down for 0.7 s, starting `after` ms after the first request.
+    /// Plays a mission while the router of the first half of the fleet is down for 0.7 s, starting `after` milliseconds after the first
+    /// request.
     fn prepare_without_router(&mut self, after: u64) -> Ended {
         let run = self.run();
         start(&self.stage);

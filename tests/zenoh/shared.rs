@@ -7,18 +7,18 @@ use crate::network::{
 };
 use stage::{Ended, Process, Stage, free_port};
 
-/// Number of steps of a script, and milliseconds between them.
+/// Number of steps of a script; `EVERY_MS` is the time between them, in milliseconds.
 const STEPS: u32 = 1_000;
 const EVERY_MS: u32 = 4;
-/// Number of steps of one script that the relay finds.
+/// Number of steps that the relay counts if one script is sent; it may miss up to five of them.
 const FOUND: std::ops::Range<u64> = STEPS as u64 - 5..STEPS as u64 + 1;
 
-/// All robots play the same long script.
+/// Returns a stage with a scenario in which all robots play the same long script.
 fn long_stage() -> Stage {
     stage_of("20s", "without", STEPS, EVERY_MS)
 }
 
-/// Plays the scenario, which every robot has to finish. Returns how many steps the scheduler sent.
+/// Plays the scenario, which every robot has to finish. Returns the number of steps that the scheduler sent.
 #[track_caller]
 fn played(stage: &Stage, robots: usize, relay: &Relay) -> u64 {
     let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
@@ -35,7 +35,8 @@ fn agree(stage: &Stage, ended: &Ended, robots: usize) {
     assert!(sets.values().all(|sets| sets.len() == STEPS as usize));
 }
 
-/// Robots in one process, which the scheduler reaches directly, and a relay that counts the steps it sends.
+/// Starts robots in one process, and a relay through which the scheduler reaches them. The relay counts the steps that the scheduler
+/// sends.
 fn direct(stage: &Stage, count: usize) -> (Process, Relay) {
     let port = free_port();
     let relay = Relay::to(port);
@@ -106,7 +107,7 @@ fn two_schedulers_publish_at_the_same_time_each_for_its_robots() {
     assert!(FOUND.contains(&(sent / 2)), "{sent} steps");
 }
 
-/// A router with a rule that denies what schedulers publish for several robots.
+/// Starts a router that denies these kinds of messages on the keys for several robots.
 fn denying(stage: &Stage, messages: &str) -> Router {
     let port = free_port();
     let config = format!(

@@ -1,18 +1,19 @@
-//! Parses scripts in the canonical JSON that [`encode`](crate::encode) writes. The hash of a script covers exactly this text. A reader
-//! that has the text need not serialize the script again to compare hashes.
+//! Parses scripts in the canonical JSON that [`encode`](crate::encode) writes. The hash of a script is computed over exactly this text. A
+//! reader that has the text can therefore compare hashes without serializing the script again.
 
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, SCRIPT_STEPS_MAX};
 use crate::message::{Script, Setpoint, Step};
 use crate::time::Millis;
 
-/// Maximum number of digits up to which distinct decimals have distinct doubles (`DBL_DIG` in C).
+/// Maximum number of digits for which two different decimals are always two different doubles (`DBL_DIG` in C).
 const DIGITS_MAX: usize = 15;
-/// Maximum number of zeros after the decimal point. The general parser reads smaller numbers, because the smallest ones have an exponent.
+/// Maximum number of zeros directly after the decimal point of a number below 1. The general parser reads smaller numbers, because the
+/// canonical form of very small numbers has an exponent.
 const LEADING_ZEROS_MAX: usize = 3;
 
-/// Parses the script whose canonical JSON `text` starts with. Returns the script, that JSON and the rest of `text`. `None` for anything
-/// else, and also for valid scripts with long numbers or with a stop condition in a step.
+/// Parses the script in canonical JSON at the start of `text`. Returns the script, its JSON and the rest of `text`. Returns `None` for
+/// anything else, and also for valid scripts with long numbers or with a stop condition in a step.
 pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     let mut rest = text.strip_prefix('[')?;
     let mut steps = Vec::with_capacity(steps_at_most(rest));
@@ -31,7 +32,7 @@ pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     Some((Script::new(steps).ok()?, own, rest))
 }
 
-/// Upper bound on the number of steps in `text`.
+/// Returns an upper bound on the number of steps in `text`.
 fn steps_at_most(text: &str) -> usize {
     const SHORTEST: &str = r#"{"time_offset_to_start":0,"control_type":"speed","control_value":0}"#;
     memchr::memchr_iter(b'{', text.as_bytes()).count().min(text.len() / SHORTEST.len())
@@ -62,7 +63,7 @@ fn read_step(text: &str) -> Option<(Step, &str)> {
     Some((Step::new(Millis::new(offset).ok()?, setpoint), rest.strip_prefix('}')?))
 }
 
-/// Parses the number that `text` starts with if it is in canonical form. Returns the number and the rest of `text`.
+/// Parses the number at the start of `text`. Returns the number and the rest of `text`; `None` if the number is not in canonical form.
 ///
 /// A decimal with at most [`DIGITS_MAX`] digits is the shortest text of its nearest double, because no other decimal of that length has
 /// the same double. The digits and the power of ten are exact doubles, so their quotient is the nearest double (W. D. Clinger, "How to
@@ -220,7 +221,7 @@ mod tests {
     }
 
     proptest! {
-        /// Every accepted number has the same value as with serde_json, and is in canonical form.
+        /// Every accepted number is in canonical form, and serde_json parses it to the same value.
         #[test]
         fn a_number_that_is_read_is_canonical(text in "-?[0-9]{0,3}[0-9]{0,14}(\\.[0-9]{0,14}[0-9]{0,3})?(e-?[0-9])?") {
             if let Some((value, "")) = read_number(&text) {

@@ -1,5 +1,5 @@
-//! Fast parsing of messages that contain a script. A script that is known or written as canonical JSON can be parsed faster than general
-//! JSON.
+//! Fast parsing of messages that contain a script. Two kinds of scripts can be parsed faster than general JSON: known scripts, which were
+//! sent or received recently, and scripts in canonical JSON.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,15 +9,15 @@ use memchr::memmem;
 use super::canonical;
 use crate::message::{Command, ControlRequest, ControlResponse, Message, Script, StatusValue};
 
-/// Number of scripts to keep. Older scripts are parsed step by step when they are received again.
+/// Number of scripts to keep. If an older script is received again, it is parsed step by step.
 const KEPT: usize = 16;
-/// The start of each kind of message that can contain a script, with the key of the script.
+/// For each kind of message that can contain a script: the start of the message and the key of the script.
 const CARRIERS: [(&str, &str); 2] =
     [(r#"{"control_request":{"#, r#""control_value":"#), (r#"{"control_response":{"#, r#""status_value":"#)];
 
-/// The most recent scripts in sent and received requests. They recur because a robot repeats each script that it accepts, and all robots
-/// of a group receive the same script. A [`Decoder`](crate::Decoder) reuses a known script and its cached results; the decoded messages
-/// are the same as without `KnownScripts`. Clones share their content.
+/// The most recent scripts in sent and received requests. Scripts recur, because a robot repeats each script that it accepts, and all
+/// robots of a group receive the same script. A [`Decoder`](crate::Decoder) reuses a known script and its cached results; the decoded
+/// messages are the same as without `KnownScripts`. Clones share their content.
 #[derive(Clone, Debug, Default)]
 pub struct KnownScripts(Arc<Mutex<VecDeque<Script>>>);
 
@@ -35,7 +35,7 @@ impl KnownScripts {
         }
     }
 
-    /// Finds the known script whose text `value` starts with. Returns the script and the rest of `value`.
+    /// Finds the known script whose canonical JSON is at the start of `value`. Returns the script and the rest of `value`.
     fn find<'a>(&self, value: &'a str) -> Option<(Script, &'a str)> {
         self.scripts().iter().find_map(|script| {
             let rest = value.strip_prefix(script.kept_text()?)?;
@@ -48,7 +48,8 @@ impl KnownScripts {
     }
 }
 
-/// Parses the message on `line` if its script is known or written as canonical JSON; `None` if the general JSON parser has to parse it.
+/// Parses the message on `line` if its script is in `known` or is written in canonical JSON. Returns `None` if the general JSON parser
+/// has to parse the message.
 pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> {
     let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
     let at = memmem::find(line.as_bytes(), key.as_bytes())?;
@@ -76,7 +77,7 @@ pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> 
     Some(message)
 }
 
-/// Whether the position after `head` is directly inside the message's object, not in a nested value or a string.
+/// Whether the end of `head`, the start of a line, is directly inside the message's object, not in a nested value or a string.
 fn is_where_keys_of_a_message_are(head: &str) -> bool {
     let (mut depth, mut in_string, mut escaped) = (0_i32, false, false);
     for byte in head.bytes() {
@@ -110,7 +111,7 @@ mod tests {
         serde_json::to_string(script).unwrap()
     }
 
-    /// A response line and a request line, each with `keys` after the mandatory keys.
+    /// Returns a response line and a request line, each with `keys` after the mandatory keys.
     fn lines(keys: &str) -> [String; 2] {
         let time = "2026-11-20T19:00:00.000000000Z";
         [

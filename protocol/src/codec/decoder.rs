@@ -18,7 +18,7 @@ pub struct Decoder {
     buffer: Vec<u8>,
     /// Index in `buffer` of the first byte that has not been read.
     read: usize,
-    /// Index in `buffer` up to which the search for a newline has found none.
+    /// Index in `buffer` at which the search for a newline continues. The bytes from `read` to this index contain no newline.
     searched: usize,
     limit: usize,
     skipping: Skipping,
@@ -26,19 +26,20 @@ pub struct Decoder {
     known: Option<KnownScripts>,
 }
 
-/// Capacity in bytes up to which the decoder does not shrink a buffer that contains data.
+/// Capacity in bytes up to which a buffer that contains data is not shrunk.
 const KEPT_MAX: usize = 64 * 1024;
 
 /// The buffered part of the next message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Front {
-    /// Length of the message in bytes as far as it is known: the header of a frame states it, a line shows it only at its end.
+    /// Length of the message in bytes. A frame states its length in its header. For a line that is not complete, this is the number of
+    /// bytes received so far.
     pub bytes: usize,
     /// Whether the message has been received completely.
     pub whole: bool,
 }
 
-/// The item at the start of the buffer: `None` for an empty line or the rest of an overlong line.
+/// The result of decoding the item at the start of the buffer. `None` if the item is an empty line or the rest of an overlong line.
 type Found = Option<Result<Message, DecodeError>>;
 
 /// The part of an overlong message that is still to be discarded.
@@ -72,14 +73,14 @@ impl Decoder {
         }
     }
 
-    /// Returns this decoder with `scripts`, which it recognizes in lines without parsing them step by step.
+    /// Returns this decoder with known scripts. It recognizes these scripts in lines without parsing them step by step.
     #[must_use]
     pub fn that_knows(mut self, scripts: KnownScripts) -> Self {
         self.known = Some(scripts);
         self
     }
 
-    /// The encoding of the last decoded message or decoding error; JSON before the first one. A response should use the encoding of its
+    /// Returns the encoding of the last message or decoding error; JSON before the first one. A response should use the encoding of its
     /// request.
     #[must_use]
     pub const fn encoding(&self) -> Encoding {
@@ -87,7 +88,7 @@ impl Decoder {
     }
 
     /// Adds received bytes to the buffer. If the caller reads all messages before each push, the buffer contains at most one message and
-    /// one push.
+    /// the bytes of one push.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.read);
         self.searched -= self.read;
@@ -108,8 +109,9 @@ impl Decoder {
         self.limit = limit;
     }
 
-    /// Describes the buffered part of the next message, including empty lines, without decoding it. The caller can use this to choose
-    /// where to decode a long message. `None` if the buffer is empty or contains only the rest of an overlong message.
+    /// Describes the buffered part of the next message without decoding it. An empty line also counts as a message. The caller can use
+    /// this to choose where to decode a long message. Returns `None` if the buffer is empty, contains only the rest of an overlong
+    /// message, or contains only a part of a frame's header.
     pub fn front(&mut self) -> Option<Front> {
         let unread = self.buffer.get(self.read..).filter(|unread| !unread.is_empty())?;
         match (self.skipping, unread.first()?) {
@@ -133,13 +135,14 @@ impl Decoder {
         self.skipping != Skipping::Nothing
     }
 
-    /// Number of buffered bytes that have not been decoded.
+    /// Returns the number of buffered bytes that have not been decoded.
     #[must_use]
     pub fn buffered(&self) -> usize {
         self.buffer.len() - self.read
     }
 
-    /// Returns the next message, or the error if its bytes are invalid; `None` until more bytes are pushed. Skips empty lines.
+    /// Returns the next message, or an error if its bytes are invalid. Returns `None` if more bytes must be pushed first. Skips empty
+    /// lines.
     pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
         let found = self.find();
         if self.read == self.buffer.len() {
@@ -224,7 +227,7 @@ impl Decoder {
         Some(Some(line::read(text, self.known.as_ref())))
     }
 
-    /// Discards the start of a line that exceeds the limit, and reports the line once.
+    /// Discards the buffered part of an incomplete line that exceeds the limit. Returns the error only once for each line.
     fn overflow(&mut self) -> Option<Found> {
         if self.skipping != Skipping::Line && self.buffer.len() - self.read <= self.limit {
             return None;
@@ -257,7 +260,7 @@ mod tests {
     const LIMIT: usize = 4 * 1024 * 1024;
     const CHUNK: usize = 8 * 1024;
 
-    /// Pushes the stream in chunks like a socket; returns the largest allocation.
+    /// Pushes the stream in chunks, as a socket would provide it. Returns the largest capacity of the buffer in bytes.
     #[track_caller]
     fn largest_buffer(stream: impl Iterator<Item = u8>) -> usize {
         let mut decoder = Decoder::new(LIMIT);

@@ -7,14 +7,14 @@ use serde::Deserialize;
 use crate::message::{Message, OfUnknownType};
 use crate::text::{DeviceId, RequestId, shortened};
 
-/// Why a line or frame is not a message, with the device id and request id that an error response needs.
+/// The reason why a line or frame is not a message. Contains the device id and request id, which the error response needs.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct DecodeError {
     /// The kind of error.
     pub kind: DecodeErrorKind,
     /// Id of the device that a control request addresses; `None` if it cannot be recognized.
     pub device_id: Option<DeviceId>,
-    /// Id of the control request; `None` if it has none or it cannot be recognized.
+    /// Id of the control request; `None` if the request has no id or the id cannot be recognized.
     pub request_id: Option<RequestId>,
 }
 
@@ -65,7 +65,7 @@ impl DecodeError {
         Self { kind, device_id: None, request_id: None }
     }
 
-    /// Creates the error for a well-formed line or payload that is not a message.
+    /// Creates the error for a line or payload that is well-formed JSON or MessagePack, but not a message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
             // The parser's message may quote the whole line, but a response must be short.
@@ -106,7 +106,7 @@ pub(super) struct Addressee {
     request_id: Option<String>,
 }
 
-/// A message with a control request whose control type this version does not know; its values may be anything.
+/// A message with a control request whose control type this version does not know. The values of the request may be of any kind.
 #[derive(Deserialize)]
 pub(super) struct UnknownType {
     control_request: OfUnknownType,
@@ -118,7 +118,7 @@ impl From<UnknownType> for Message {
     }
 }
 
-/// A message with a control request, of which only the device id and request id are parsed.
+/// A message with a control request. Only the device id and request id of the request are parsed.
 #[derive(Deserialize)]
 pub(super) struct Envelope {
     pub(super) control_request: Addressee,

@@ -1,4 +1,4 @@
-//! The compact encoding, a frame: a mark byte that no line contains, the payload length, and the payload in MessagePack.
+//! The compact encoding. A frame consists of a mark byte that no line contains, the payload length, and the payload in MessagePack.
 
 use rmp_serde::decode::Error;
 use serde::de::IgnoredAny;
@@ -34,7 +34,7 @@ pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     }
 }
 
-/// The payload length in bytes; `None` until the whole header has been received.
+/// Returns the payload length in bytes; `None` if the header has not been received completely.
 pub(super) fn length(head: &[u8]) -> Option<usize> {
     let length = head.get(1..HEAD_BYTES)?.try_into().map(u32::from_be_bytes).ok()?;
     // On platforms where the length exceeds `usize`, it is beyond any limit.
@@ -54,7 +54,8 @@ pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
     })
 }
 
-/// Whether the payload starts with a MessagePack dictionary of one entry. The parser itself would also accept a list.
+/// Whether the payload starts with a MessagePack dictionary of one entry. This check is necessary because the parser would also accept a
+/// list.
 const fn names_one_message(payload: &[u8]) -> bool {
     matches!(payload, [0x81, ..] | [0xDE, 0, 1, ..] | [0xDF, 0, 0, 0, 1, ..])
 }

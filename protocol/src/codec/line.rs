@@ -30,7 +30,8 @@ pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
     line.push(END);
 }
 
-/// Replaces the empty list after `key` by `text`. No earlier part of the line matches `key`, because quotes in strings are escaped.
+/// Replaces the empty list after `key` with `text`, in the part of `line` from `begin`. The first match is the key itself, because quotes
+/// in strings are escaped.
 fn fill(line: &mut Vec<u8>, begin: usize, key: &str, text: &str) {
     let gap = memmem::find(&line[begin..], key.as_bytes()).map_or(line.len(), |at| begin + at + key.len());
     let rest = line.split_off(gap);
@@ -68,7 +69,7 @@ fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     DecodeError::invalid(path, message, addressee.unwrap_or_default())
 }
 
-/// Deserializes an object to count its keys.
+/// The number of keys of an object, counted by deserializing it.
 struct KeyCount(usize);
 
 impl<'de> Deserialize<'de> for KeyCount {

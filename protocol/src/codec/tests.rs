@@ -1,4 +1,4 @@
-//! Sequences of messages in both encodings on one stream: whole, cut, overlong and invalid.
+//! Tests streams that contain messages in both encodings: complete, cut, overlong and invalid messages.
 
 use super::*;
 use crate::{AvailabilityRequest, Command, ControlRequest, Script};
@@ -24,7 +24,7 @@ fn written(encoding: Encoding, message: &Message) -> Vec<u8> {
     bytes
 }
 
-/// Returns the decoding error for `payload`. Checks that the decoder still reads the next message.
+/// Returns the decoding error for a frame with `payload`. Checks that the decoder still reads the next message.
 #[track_caller]
 fn refused(payload: &[u8]) -> DecodeError {
     let mut decoder = Decoder::default();

@@ -17,13 +17,13 @@ use crate::time::{Millis, Robot, Server, Timestamp};
 /// Step 5 of the protocol: drives, reads or stops one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlRequest {
-    /// When the server sent the request. All requests of one act have the same timestamp.
+    /// When the server sent the request. All requests of one act (a part of a show whose robots start together) have the same timestamp.
     pub timestamp: Option<Timestamp<Server>>,
     /// Milliseconds from `timestamp` to the start. If it is omitted, the command starts on receipt.
     pub time_offset_to_start: Option<Millis>,
     /// The id of the device that the request addresses.
     pub device_id: DeviceId,
-    /// The lease of the command. `None`: the command has no lease.
+    /// The lease of the command: how long the server may be silent before the device stops. `None`: unlimited.
     pub stop_condition: Option<StopCondition>,
     /// The instant by the robot's clock at which the robot drops the command if it has not started (our extension). An inquiry that names
     /// the request may replace the instant.
@@ -43,9 +43,9 @@ pub struct ControlRequest {
 /// The command in a control request: the control type with its values.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// Sets values of control type `position`, `speed`, `acceleration` or `custom_N`.
+    /// Sets values of the control type `position`, `speed`, `acceleration` or `custom_N`.
     Set(Setpoint),
-    /// Plays a script; an empty one cancels.
+    /// Plays a script. A script without steps cancels commands.
     Script(Script),
     /// Requests a reading of the sensor.
     ReadSensor,
@@ -55,7 +55,7 @@ pub enum Command {
 }
 
 impl Command {
-    /// The control type of the command; `None` if this version does not know it.
+    /// Returns the control type of the command; `None` if this version does not know it.
     #[must_use]
     pub const fn control_type(&self) -> Option<ControlType> {
         match self {
@@ -66,7 +66,7 @@ impl Command {
         }
     }
 
-    /// SHA-256 over the canonical JSON of the command's values or steps.
+    /// Returns the SHA-256 hash of the canonical JSON of the command's values or steps.
     #[must_use]
     pub fn content_hash(&self) -> ContentHash {
         let json = match self {
@@ -85,7 +85,7 @@ impl Command {
 }
 
 impl ControlRequest {
-    /// Creates a request that takes effect on receipt and has no lease.
+    /// Creates a request that takes effect on receipt and has no lease, so that the server may be silent for any time.
     #[must_use]
     pub const fn immediate(device_id: DeviceId, command: Command) -> Self {
         Self {
@@ -133,7 +133,7 @@ impl ControlRequest {
         self
     }
 
-    /// Returns this request with a lease.
+    /// Returns this request with a lease: a limit on the silence of the server.
     #[must_use]
     pub const fn with_stop_condition(mut self, stop_condition: StopCondition) -> Self {
         self.stop_condition = Some(stop_condition);
@@ -147,7 +147,7 @@ impl ControlRequest {
         self
     }
 
-    /// The instant at which the command starts; `None` if it starts on receipt.
+    /// Returns the instant at which the command starts; `None` if it starts on receipt.
     #[must_use]
     pub fn starts_at(&self) -> Option<Timestamp<Server>> {
         Some(self.timestamp? + self.time_offset_to_start?.span())
@@ -167,7 +167,7 @@ impl Serialize for OnLine<'_, ControlRequest> {
 }
 
 impl ControlRequest {
-    /// Serializes the request; `form` selects how its script is serialized.
+    /// Serializes the request. `form` wraps the script in a type that determines how it is serialized.
     fn write<'a, S: Serializer, T: Serialize>(
         &'a self,
         serializer: S,
@@ -218,7 +218,7 @@ impl<'de> Deserialize<'de> for ControlRequest {
     }
 }
 
-/// A `control_value` that was parsed before its control type is known.
+/// A `control_value` that was parsed before its control type was known.
 enum RawValue {
     Null,
     Number(f64),
@@ -235,7 +235,7 @@ impl<'de> Deserialize<'de> for OfUnknownType {
     }
 }
 
-/// Whether the parser reads the values of a request.
+/// Whether the parser reads or ignores the values of a request.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Values {
     Read,
@@ -340,7 +340,7 @@ enum RequestKey {
     Home,
     ControlType,
     Value,
-    /// The key `control_value_N`; N is at least 2.
+    /// The key `control_value_N`, where N is at least 2.
     Further(usize),
     Unknown,
 }
@@ -406,7 +406,7 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
     })
 }
 
-/// A control type by its name, which this version may not know.
+/// The name of a control type, which this version may not know.
 enum Named {
     Known(ControlType),
     Unknown(Label),

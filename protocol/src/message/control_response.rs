@@ -14,11 +14,11 @@ use crate::object;
 use crate::text::{DeviceId, Label, RequestId};
 use crate::time::{Millis, Robot, Timestamp};
 
-/// The robot's response to a control request: confirms acceptance, reports progress, or provides a sensor reading.
+/// The robot's response to a control request. It confirms acceptance, reports progress or failure, or provides a sensor reading.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ControlResponse {
-    /// When the robot sent this response. Not used for synchronization.
+    /// When the robot sent this response. The server does not use it for synchronization.
     pub timestamp: Timestamp<Robot>,
     /// The id of the device that the response is about.
     pub device_id: DeviceId,
@@ -45,7 +45,7 @@ pub struct ControlResponse {
     /// Largest delay of an executed script step, in milliseconds; `None` if no step was late (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why the request failed (our extension). `None` unless the status is `Failed`.
+    /// The reason why the request failed (our extension); `None` if the status is not `Failed`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
@@ -79,7 +79,7 @@ impl ControlResponse {
         }
     }
 
-    /// Creates the response `Failed` to `request`, with the reason and with the id of the request, if it has one.
+    /// Creates the response `Failed` to `request`. It contains the reason and, if the request has an id, this id.
     #[must_use]
     pub fn refusal(timestamp: Timestamp<Robot>, request: &ControlRequest, error: ControlError) -> Self {
         Self {
@@ -103,7 +103,7 @@ impl Serialize for OnLine<'_, ControlResponse> {
 }
 
 impl ControlResponse {
-    /// Serializes the response with `status_value` in place of its own value.
+    /// Serializes the response with the given `status_value` instead of its own.
     fn write<S: Serializer>(&self, serializer: S, status_value: &impl Serialize) -> Result<S::Ok, S::Error> {
         let optional = [
             self.request_id.is_some(),
@@ -148,11 +148,11 @@ impl ControlResponse {
 /// The result of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// Completed.
+    /// The robot has completed the request.
     Ok,
     /// The robot has accepted the request for execution.
     Accepted,
-    /// The device has set its first value, or has begun to move to it linearly (our extension).
+    /// The command has started: the device has set the first value or has begun to move to it linearly (our extension).
     Started,
     /// The response provides a sensor reading.
     Provide,
@@ -203,13 +203,13 @@ impl<'de> Deserialize<'de> for Status {
     }
 }
 
-/// The value in a response.
+/// The value in a robot's response to a control request.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum StatusValue {
     /// The response has no value, for example on failure.
     #[default]
     Null,
-    /// The value of a setpoint, or a sensor reading.
+    /// The accepted value of a setpoint, or a sensor reading.
     Number(f64),
     /// The script accepted for execution.
     Script(Script),

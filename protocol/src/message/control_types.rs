@@ -107,11 +107,11 @@ fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), Limit
 /// Maximum deviation of a value from a multiple of the granularity due to decimal rounding, as a fraction of the granularity.
 const GRID_TOLERANCE: f64 = 1e-6;
 
-/// Largest factor of a granularity for which decimal rounding is corrected. For larger factors, the rounding error of the granularity
-/// exceeds [`GRID_TOLERANCE`].
+/// Multiples of the granularity are corrected for decimal rounding only if their factor is less than this. For larger factors, the
+/// rounding error of the granularity exceeds [`GRID_TOLERANCE`].
 const FACTOR_MAX: f64 = 1e9;
 
-/// Powers of ten by which a granularity is multiplied to become an integer; granularities have at most 12 decimal digits.
+/// Powers of ten, one of which makes the granularity an integer by multiplication. Granularities have at most 12 decimal digits.
 const POWERS_OF_TEN: [f64; 13] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12];
 
 impl Limits {
@@ -138,13 +138,13 @@ impl Limits {
         (steps - steps.round()).abs() <= GRID_TOLERANCE
     }
 
-    /// The multiple of the granularity nearest to `value`. It may be outside the limits.
+    /// Returns the multiple of the granularity that is nearest to `value`. It may be outside the limits.
     #[must_use]
     pub fn nearest(&self, value: f64) -> f64 {
         self.multiple((value / self.granularity).round())
     }
 
-    /// The multiple of the granularity within the limits that is nearest to `value`.
+    /// Returns the value within the limits that is a multiple of the granularity and nearest to `value`.
     #[must_use]
     pub fn nearest_settable(&self, value: f64) -> f64 {
         let [low, high] = self.multiples();
@@ -165,7 +165,7 @@ impl Limits {
         }
     }
 
-    /// The smallest and the largest multiple of the granularity within the limits, as factors of the granularity.
+    /// Returns the factors of the smallest and the largest multiple of the granularity within the limits.
     fn multiples(&self) -> [f64; 2] {
         let [low, high] = [self.min_value, self.max_value].map(|bound| bound / self.granularity);
         [(low - GRID_TOLERANCE).ceil(), (high + GRID_TOLERANCE).floor()]
@@ -185,11 +185,11 @@ impl Limits {
     }
 }
 
-/// The parameters of the control type `script`, after inheritance.
+/// The parameters of the control type `script`. Omitted ones have been inherited from other control types of the device.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ScriptParameters {
-    /// Limits of the values in steps. Omitted limits are inherited from the control type that the script supports.
+    /// Limits of the values in steps. Limits that a robot omits are inherited from the control type that its scripts support.
     #[serde(flatten)]
     #[cfg_attr(feature = "schema", schemars(with = "InheritedLimits"))]
     pub limits: Limits,
@@ -202,14 +202,15 @@ pub struct ScriptParameters {
 }
 
 impl ScriptParameters {
-    /// Parameters for scripts of at most `max_number_of_steps` steps, which may use every control type of the device within `limits`.
+    /// Creates the parameters for scripts of at most `max_number_of_steps` steps, which may use every control type of the device within
+    /// `limits`.
     #[must_use]
     pub const fn new(limits: Limits, max_number_of_steps: u32) -> Self {
         Self { limits, max_number_of_steps, control_types: None }
     }
 }
 
-/// The JSON Schema of limits of which each may be omitted and inherited.
+/// Limits of the values in steps. Each limit may be omitted; it is then inherited from another control type.
 #[cfg(feature = "schema")]
 #[derive(schemars::JsonSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
@@ -226,7 +227,7 @@ struct InheritedLimits {
     max_error: Option<f64>,
 }
 
-/// The parameters of the control type `script` as written in JSON, before inheritance.
+/// The parameters of the control type `script` as written in JSON, before omitted ones are inherited from other control types.
 #[derive(Deserialize)]
 struct WrittenScript {
     #[serde(default, with = "number::optional")]
@@ -243,8 +244,8 @@ struct WrittenScript {
 }
 
 impl WrittenScript {
-    /// Inherits omitted parameters from the control type that the script supports. If it supports several control types with different
-    /// limits, it inherits nothing.
+    /// Inherits omitted parameters from the control type that the script supports. If the script supports several control types with
+    /// different limits, it inherits nothing.
     fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
         let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
         if max_number_of_steps == 0 {
@@ -345,13 +346,14 @@ impl ControlTypes {
         self.0.insert(control_type, parameters);
     }
 
-    /// The parameters of a control type; `None` if the device lacks the control type.
+    /// Returns the parameters of a control type; `None` if the device lacks this control type.
     #[must_use]
     pub fn get(&self, control_type: ControlType) -> Option<&ControlParameters> {
         self.0.get(&control_type)
     }
 
-    /// The limits of `position`, `speed` or `acceleration`; `None` for other control types and for those that the device lacks.
+    /// Returns the limits of `position`, `speed` or `acceleration`; `None` for other control types and if the device lacks the control
+    /// type.
     #[must_use]
     pub fn limits(&self, control_type: ControlType) -> Option<&Limits> {
         match self.get(control_type)? {
@@ -360,7 +362,7 @@ impl ControlTypes {
         }
     }
 
-    /// The parameters of `script`; `None` if the device does not accept scripts.
+    /// Returns the parameters of `script`; `None` if the device does not accept scripts.
     #[must_use]
     pub fn script(&self) -> Option<&ScriptParameters> {
         match self.get(ControlType::Script)? {
@@ -369,7 +371,7 @@ impl ControlTypes {
         }
     }
 
-    /// The parameters of `sensor`; `None` if the device is not a sensor.
+    /// Returns the parameters of `sensor`; `None` if the device is not a sensor.
     #[must_use]
     pub fn sensor(&self) -> Option<&SensorParameters> {
         match self.get(ControlType::Sensor)? {
@@ -378,9 +380,9 @@ impl ControlTypes {
         }
     }
 
-    /// The setpoint at rest of a command with `count` values, as a custom control type declares it in `at_rest` (our extension). If
-    /// `at_rest` is a number, it applies to all values. If it is a list, each entry applies to one value, and the last entry also applies
-    /// to further values.
+    /// Returns the setpoint that brings a device to rest, for a command with `count` values (our extension). `None` if the control type
+    /// is not a custom one with the parameter `at_rest`, which declares this setpoint. If `at_rest` is a number, it applies to all
+    /// values. If `at_rest` is a list, each entry applies to one value, and the last entry also applies to further values.
     #[must_use]
     pub fn at_rest(&self, control_type: ControlType, count: usize) -> Option<Setpoint> {
         let ControlParameters::Custom(parameters) = self.get(control_type)? else { return None };
@@ -396,7 +398,7 @@ impl ControlTypes {
     }
 }
 
-/// The values of the parameter `at_rest`; `None` if it is absent.
+/// Returns the values of the parameter `at_rest`; `None` if it is absent.
 fn declared_at_rest(parameters: &Map<String, Value>) -> Result<Option<Vec<f64>>, &'static str> {
     const EXPECTED: &str =
         "invalid `at_rest` of a custom control type, expected a number or a list of 1 to 256 numbers";

@@ -38,7 +38,8 @@ pub struct Device {
     /// The unit of all values of the device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
-    /// The value of the device in its default state (our extension). `None`: in its default state the device holds its last position.
+    /// The value of the device in its default state (our extension). `None`: the default state is the last position, which the device
+    /// holds.
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,
@@ -49,7 +50,8 @@ pub struct Device {
     #[serde(default = "one_script")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub script_queue: u32,
-    /// Median time from passing a value to the device until the first visible motion (our extension).
+    /// Actuation latency: the median time from passing a value to the device until the first visible motion (our extension). `None`: the
+    /// robot declares no latency.
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency: Option<Span>,
@@ -136,7 +138,7 @@ impl Device {
         self
     }
 
-    /// The first control type that the device supports of `position`, `speed`, `acceleration`, `custom_N`. `None` if it supports none of
+    /// Returns the first of `position`, `speed`, `acceleration` and `custom_N` that the device supports; `None` if it supports none of
     /// these.
     #[must_use]
     pub fn primary_control_type(&self) -> Option<ControlType> {
@@ -144,20 +146,20 @@ impl Device {
         types.find(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
     }
 
-    /// The actuation latency of the device; `None` if the robot declares none.
+    /// Returns the actuation latency of the device, the time from a command to visible motion; `None` if the robot declares none.
     #[must_use]
     pub fn actuation_latency(&self) -> Option<Latency> {
         Some(Latency { median: self.latency?, spread: self.latency_spread.unwrap_or_default() })
     }
 
-    /// Returns this device with a declared actuation latency.
+    /// Returns this device with a declared actuation latency, the time from a command to visible motion.
     #[must_use]
     pub const fn with_latency(mut self, latency: Latency) -> Self {
         (self.latency, self.latency_spread) = (Some(latency.median), Some(latency.spread));
         self
     }
 
-    /// Checks that `latency` is set if `latency_spread` is.
+    /// Checks that a device with a `latency_spread` also has a `latency`.
     pub(super) fn check_latency(&self) -> Result<(), LimitError> {
         match (self.latency, self.latency_spread) {
             (None, Some(_)) => Err(LimitError::SpreadAlone { id: self.id.to_string() }),
@@ -173,7 +175,7 @@ impl Device {
         }
     }
 
-    /// Checks that the default value is within the limits, so that a stop cannot lead to a position that no command may set.
+    /// Checks that the default value is within the limits. Otherwise, a stop could move the device to a position that no command may set.
     pub(super) fn check_default(&self) -> Result<(), LimitError> {
         let limits =
             self.primary_control_type().and_then(|primary| self.available_control_types.limits(primary));
@@ -188,7 +190,7 @@ impl Device {
         }
     }
 
-    /// The control types that a script for this device may use; empty if the device does not accept scripts.
+    /// Returns the control types that a script for this device may use; empty if the device does not accept scripts.
     #[must_use]
     pub fn script_control_types(&self) -> Vec<ControlType> {
         let Some(script) = self.available_control_types.script() else { return Vec::new() };

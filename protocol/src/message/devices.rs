@@ -1,4 +1,4 @@
-//! The list of a robot's devices, which all copies of the robot's description share.
+//! The list of a robot's devices. All copies of the robot's description share one list in memory.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;

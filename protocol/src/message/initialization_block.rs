@@ -109,7 +109,7 @@ fn devices<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Object<Devi
     }
 }
 
-/// Deserializes a list together with its length. Counts and discards entries beyond `most`.
+/// A visitor that deserializes a list and counts its entries. It keeps the first `most` entries and discards the others.
 struct Bounded<T> {
     most: usize,
     of: PhantomData<T>,
@@ -172,8 +172,8 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
 }
 
 impl InitializationBlock {
-    /// Creates a description that declares no extension of the protocol. Set the other fields as needed. A robot of the crate
-    /// `downbeat-robot` itself declares the extensions that it implements.
+    /// Creates a description that declares no extension of the protocol. Set the other fields as needed. Robots of the crate
+    /// `downbeat-robot` add the extensions that they implement by themselves.
     ///
     /// # Errors
     /// [`LimitError`] if there is no device or more than [`DEVICES_MAX`], two have the same id, a default value is outside its device's
@@ -195,13 +195,13 @@ impl InitializationBlock {
         }))
     }
 
-    /// The device with the given id; `None` if the robot has no such device.
+    /// Returns the device with the given id; `None` if the robot has no such device.
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.devices.iter().find(|device| device.id.as_str() == id)
     }
 
-    /// Returns this description with `encoding` declared as supported.
+    /// Returns this description with the declaration that the robot supports `encoding`.
     #[must_use]
     pub fn and_understands(mut self, encoding: Encoding) -> Self {
         if !self.understands(encoding) {
@@ -238,6 +238,6 @@ pub enum RobotType {
     Anthropomorphic,
     /// A military robot.
     Military,
-    /// A robot for another use.
+    /// A robot for any other use.
     Other,
 }

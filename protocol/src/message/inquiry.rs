@@ -1,4 +1,4 @@
-//! The inquiry: queries the states of requests, and the free queue space and commanded positions of devices.
+//! The inquiry: a query for the states of requests, and for the free queue space and the commanded positions of devices.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -16,11 +16,12 @@ use crate::text::{DeviceId, RequestId, SessionId};
 use crate::time::{Millis, Robot, Server, Timestamp};
 
 /// Queries a robot about its requests and devices (our extension). An inquiry starts, stops and moves nothing, and does not claim the
-/// robot. Like any message, it renews the leases of its sender.
+/// robot. Like any message, it renews the leases (limits on the server's silence) of its sender.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Inquiry {
-    /// When the server sent the inquiry, T1 of RFC 5905. Every inquiry with a timestamp is also a clock sample.
+    /// When the server sent the inquiry, T1 of RFC 5905. The response to an inquiry with a timestamp is also a sample of the robot's
+    /// clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
     /// The session of the sender. Only the session that owns the robot receives information about requests.
@@ -34,13 +35,13 @@ pub struct Inquiry {
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceId>,
-    /// Upper bound in milliseconds for the pending leases of the requests in `requests` that are held and have not started. From receipt
-    /// of the inquiry, the shorter of this lease and the request's own one applies.
+    /// Maximum silence of the server, in milliseconds, after which the robot drops those of `requests` that have not started. It applies
+    /// from receipt of the inquiry, unless a request already has a shorter limit. `None`: the limits stay unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_lease: Option<Millis>,
-    /// Latest end of the pending leases of the requests in `requests` that are held and have not started. It is an instant of the robot's
-    /// clock and applies regardless of later messages. Replaces the instant set by the request itself or by an earlier inquiry of the
-    /// same sender. An inquiry without this key leaves the instant unchanged.
+    /// The instant by the robot's clock at which the robot drops those of `requests` that have not started, regardless of later messages.
+    /// It replaces the instant set by the request itself or by an earlier inquiry of the same sender. `None`: the instant stays
+    /// unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_until: Option<Timestamp<Robot>>,
 }
@@ -58,7 +59,7 @@ pub struct InquiryResponse {
     pub timestamp: Timestamp<Robot>,
     /// `OK`, or `Failed` with an error.
     pub status: Status,
-    /// Why the status is `Failed`. `busy`: the robot belongs to another session. `internal`: the robot's hardware is absent.
+    /// The reason why the status is `Failed`. `busy`: the robot belongs to another session. `internal`: the robot's hardware is absent.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
     /// One entry per queried request, in the same order; empty if the robot belongs to another session.
@@ -82,10 +83,10 @@ pub struct RequestReport {
     /// The hash that the robot computed over the accepted value of the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<ContentHash>,
-    /// The planned start, while the request is held or running.
+    /// The planned start of the request; `None` unless the request is held or running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_timestamp: Option<Timestamp<Robot>>,
-    /// The actual start, once the request has started.
+    /// The actual start of the request; `None` if it has not started.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event_timestamp: Option<Timestamp<Robot>>,
     /// Number of script steps executed so far.
@@ -97,7 +98,7 @@ pub struct RequestReport {
     /// Largest delay of an executed script step, in milliseconds; `None` if no step was late.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why the robot refused the request or ended it early. `None` if the request completed or has not ended.
+    /// The reason why the robot refused the request or ended it early. `None` if the request was completed or has not ended.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
@@ -109,7 +110,7 @@ pub struct RequestReport {
 pub enum RequestState {
     /// The robot never received the request, has forgotten it or has restarted since.
     Unknown,
-    /// The robot has accepted the request, but the start is not yet due.
+    /// The robot has accepted the request, but its start time has not been reached.
     Held,
     /// The request has started and has not ended.
     Running,
@@ -125,15 +126,15 @@ pub struct DeviceReport {
     pub device_id: DeviceId,
     /// Number of further scripts that the device's script queue can hold.
     pub room: u32,
-    /// The commanded position when the robot responds, in the device's unit. `None` if the device has no position or the robot does not
-    /// know it.
+    /// The commanded position at the time of the response, in the device's unit. `None` if the device has no position or the robot does
+    /// not know it.
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub position: Option<f64>,
 }
 
 impl InquiryResponse {
-    /// Creates a response without entries to `inquiry`, from the robot's clock readings at receipt and at sending.
+    /// Creates the response to `inquiry` without entries, from the robot's clock readings at receipt and at sending.
     #[must_use]
     pub const fn new(
         inquiry: &Inquiry,
@@ -154,7 +155,7 @@ impl InquiryResponse {
 }
 
 impl RequestReport {
-    /// Creates a report that contains only the state.
+    /// Creates a report that contains only the id and the state of a request.
     #[must_use]
     pub const fn new(request_id: RequestId, state: RequestState) -> Self {
         Self {

@@ -1,15 +1,15 @@
-//! Serializes messages with a gap into which the text of a script is inserted. Missions and robots have already serialized each script to
-//! hash it, so the line of JSON reuses that text.
+//! Serializes messages with a gap, into which the text of a script is inserted. Missions and robots have already serialized each script
+//! to hash it, and the line of JSON reuses this text.
 
 use serde::{Serialize, Serializer};
 
 use super::{Command, Message, Script, StatusValue};
 
-/// Serializes the message or script, but writes an empty list in place of a script whose text is kept.
+/// A message or script, serialized with an empty list in place of each script whose text is cached.
 pub(crate) struct OnLine<'a, T>(pub(crate) &'a T);
 
 impl<'a> OnLine<'a, Message> {
-    /// The key whose value is written as an empty list, and the text that replaces the list; `None` if no script text is kept.
+    /// Returns the key whose value is written as an empty list, and the text that replaces the list; `None` if no script text is cached.
     pub(crate) fn gap(&self) -> Option<(&'static str, &'a str)> {
         match self.0 {
             Message::ControlRequest(request) => match &request.command {

@@ -11,11 +11,12 @@ use crate::limits::{LimitError, PARAMETERS_MAX};
 use crate::text::check_length;
 
 thread_local! {
-    /// Number of values that the dictionaries still to be read on this thread may have in total.
+    /// Maximum total number of values in the dictionaries that this thread has yet to read.
     static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
 }
 
-/// Calls `read` with a limit on the total number of values in all dictionaries, so that many dictionaries take no more memory than few.
+/// Calls `read` and limits the values in all dictionaries that it deserializes to `values` in total. Without this limit, many
+/// dictionaries could take too much memory.
 pub(super) fn together<T>(values: usize, read: impl FnOnce() -> T) -> T {
     let before = ROOM.replace(values);
     let read = read();
@@ -42,11 +43,11 @@ impl<'de> Deserialize<'de> for Parameters {
     }
 }
 
-/// Deserializes a value including its nested values, within a size limit.
+/// A visitor that deserializes a value including its nested values, within a size limit.
 struct AnyValue<'a> {
     /// Number of values that may still be read.
     room: &'a mut usize,
-    /// The error if there are more values than that.
+    /// The error to return if there are more than `room` values.
     beyond: &'a LimitError,
 }
 

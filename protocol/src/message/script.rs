@@ -15,10 +15,10 @@ use crate::limits::{CONTROL_VALUES_MAX, LimitError, SCRIPT_STEPS_MAX};
 use crate::number::Number;
 use crate::time::Span;
 
-/// The values that a command sets, with their control type; in the device's unit.
+/// The values that a command sets, in the device's unit, and their control type.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setpoint {
-    /// `position`, `speed`, `acceleration` or `custom_N`.
+    /// The control type of the values: `position`, `speed`, `acceleration` or `custom_N`.
     pub control_type: ControlType,
     /// The first value (key `control_value`).
     pub value: f64,
@@ -39,8 +39,9 @@ impl Setpoint {
     }
 }
 
-/// A list of steps in order of time. A script without steps cancels commands. Clones share their steps and cached results. Once the hash
-/// has been computed, the script caches it, together with the canonical JSON if that is not too long. The encoder reuses the cached JSON.
+/// A list of steps in order of time. A script without steps cancels commands. Clones share their steps and cached results. The script
+/// caches its hash once it has been computed, together with the canonical JSON if that is not too long. The encoder reuses the cached
+/// JSON.
 #[derive(Clone, Default)]
 pub struct Script(Arc<Shared>);
 
@@ -63,7 +64,7 @@ impl Hashed {
     }
 }
 
-/// Maximum length in bytes of the canonical JSON to keep. The text takes about as much memory as the steps.
+/// Maximum length in bytes of the canonical JSON that a script caches. The text takes about as much memory as the steps.
 const KEPT_TEXT_MAX: usize = 64 * 1024;
 
 impl PartialEq for Script {
@@ -107,7 +108,7 @@ impl Script {
         &self.0.steps
     }
 
-    /// SHA-256 over the canonical JSON of the steps.
+    /// Returns the SHA-256 hash of the canonical JSON of the steps.
     pub(super) fn content_hash(&self) -> ContentHash {
         let hashed = self.0.hashed.get_or_init(|| {
             // Serialization into memory cannot fail: keys are strings, numbers finite.
@@ -116,13 +117,13 @@ impl Script {
         hashed.hash
     }
 
-    /// Computes the hash from the canonical JSON of the steps, which the caller already has, without serializing the steps again.
+    /// Computes and caches the hash. The caller passes the canonical JSON of the steps, so that the steps need not be serialized again.
     pub(crate) fn hash_as(&self, canonical_json: &str) {
         debug_assert_eq!(serde_json::to_string(self).ok().as_deref(), Some(canonical_json));
         self.0.hashed.get_or_init(|| Hashed::of(canonical_json));
     }
 
-    /// The canonical JSON of the steps; `None` if the script does not keep it.
+    /// Returns the canonical JSON of the steps; `None` if the script does not cache it.
     pub(crate) fn kept_text(&self) -> Option<&str> {
         self.0.hashed.get()?.text.as_deref()
     }
@@ -190,9 +191,9 @@ impl<'de> Visitor<'de> for Steps {
     }
 }
 
-/// Maximum number of steps to preallocate, even if the list states a greater length.
+/// Maximum number of steps to allocate in advance, even if the list states a greater length.
 const STEPS_BELIEVED: usize = 1_024;
-/// Number of steps to preallocate if the list does not state its length.
+/// Number of steps to allocate in advance if the list does not state its length.
 const STEPS_USUAL: usize = 32;
 
 /// Serializes all values of a setpoint: `control_value`, `control_value_2` and so on.
@@ -204,12 +205,12 @@ pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M
     Ok(())
 }
 
-/// Collects the values of `control_value_2` and above, which may occur in any order.
+/// The values of the keys `control_value_2` and above, which may occur in any order.
 #[derive(Default)]
 pub(super) struct FurtherValues(Vec<Option<f64>>);
 
 impl FurtherValues {
-    /// The index of the key `control_value_N`, which is N - 2; `None` for other keys.
+    /// Returns the index of the value with the key `control_value_N`, which is N - 2; `None` for other keys.
     pub(super) fn index<E: de::Error>(key: &str) -> Result<Option<usize>, E> {
         let Some(digits) = key.strip_prefix("control_value_") else { return Ok(None) };
         match digits.parse::<usize>() {
@@ -248,7 +249,7 @@ impl FurtherValues {
 /// A key of an object, deserialized without allocating a string, because messages may have millions of keys.
 pub(super) struct Key<K>(pub(super) K);
 
-/// An enumeration of the keys of one kind of object.
+/// An enumeration whose variants are the keys of one kind of object.
 pub(super) trait Keys: Sized {
     fn named<E: de::Error>(key: &str) -> Result<Self, E>;
 }
@@ -271,7 +272,7 @@ impl<'de, K: Keys> Deserialize<'de> for Key<K> {
     }
 }
 
-/// Sets a field that must not be set twice.
+/// Sets a field; an error if it is already set.
 pub(super) fn set_once<T, E: de::Error>(slot: &mut Option<T>, key: &'static str, value: T) -> Result<(), E> {
     match slot.replace(value) {
         None => Ok(()),

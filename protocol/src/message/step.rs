@@ -20,12 +20,12 @@ pub struct Step {
     pub offset: Millis,
     /// The values that the device sets.
     pub setpoint: Setpoint,
-    /// The lease while this step is the current one. `None`: the lease of the script applies.
+    /// The lease (how long the server may be silent) while this step is the current one. `None`: the lease of the script applies.
     pub stop_condition: Option<StopCondition>,
 }
 
 impl Step {
-    /// Creates a step under the lease of its script.
+    /// Creates a step without its own lease; the lease of its script applies.
     #[must_use]
     pub const fn new(offset: Millis, setpoint: Setpoint) -> Self {
         Self { offset, setpoint, stop_condition: None }
@@ -49,7 +49,7 @@ impl Serialize for Step {
 }
 
 impl Step {
-    /// Serializes the short form, a list: `[time_offset_to_start, control_type, control_value, ...]`.
+    /// Serializes the step in the short form, a list: `[time_offset_to_start, control_type, control_value, ...]`.
     fn serialize_short<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut list = serializer.serialize_seq(Some(SHORT_MIN + self.setpoint.more.len()))?;
         list.serialize_element(&self.offset)?;
@@ -81,7 +81,7 @@ impl<'de> Deserialize<'de> for Step {
     }
 }
 
-/// Deserializes a step from an object with named keys or from the short form.
+/// A visitor that deserializes a step from an object with named keys or from the short form, a list.
 struct ShortStepVisitor;
 
 impl<'de> Visitor<'de> for ShortStepVisitor {
@@ -118,7 +118,7 @@ enum StepKey {
     Offset,
     ControlType,
     Value,
-    /// The key `control_value_N`; N is at least 2.
+    /// The key `control_value_N`, where N is at least 2.
     Further(usize),
     StopCondition,
     Unknown,

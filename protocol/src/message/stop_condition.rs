@@ -1,4 +1,4 @@
-//! The lease: the maximum silence of the server after which a device stops on its own.
+//! The lease: how long the server may be silent before a device stops on its own.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use crate::number;
 use crate::time::Millis;
 
 /// The lease of a command: how long the server may be silent, in milliseconds, before the device drops its pending commands, ends the
-/// running one and comes to rest. `None` means unlimited.
+/// running one and comes to rest. A limit of `None` means that the silence is unlimited.
 ///
 /// On the wire, a lease is one number that applies before and after the start, or `{"pending": ms, "running": ms or null}`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

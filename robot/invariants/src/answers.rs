@@ -1,4 +1,4 @@
-//! Checks a robot's responses to requests, and records which duties of its devices follow from them.
+//! Checks a robot's responses to requests, and records what they oblige the robot's devices to do.
 
 use std::collections::HashSet;
 
@@ -12,7 +12,8 @@ use crate::judge::{Asked, Judge, is_refused};
 use crate::model::{DeviceModel, Order, cancels_from, start_of};
 use crate::{Violation, hold};
 
-/// Maximum time after receipt of a stop for which the stop cancels messages from its own party, as `docs/protocol.md` requires.
+/// Limit for a stop's timestamp that is ahead of the robot's clock. For messages of the stop's own sender, a timestamp further ahead
+/// counts as this far ahead, as `docs/protocol.md` requires.
 const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 
 type Now = Timestamp<urrcp::Robot>;
@@ -54,7 +55,7 @@ impl Judge {
         self.hashes.extend(answer.content_hash.map(|hash| (id.clone(), hash)));
     }
 
-    /// Checks that the robot belongs to the session whose commands it holds.
+    /// Checks that the robot holds no command of a session other than `session`.
     pub(crate) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
         let of_others = |order: &&Order| order.session.is_some() && order.session.as_ref() != session;
         let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
@@ -94,7 +95,7 @@ impl Judge {
         Ok(HashSet::new())
     }
 
-    /// Returns the serial numbers of the orders that an empty script must end.
+    /// Returns the serial numbers of the orders that `request`, an empty script, must cancel.
     fn cancelled_by(&mut self, now: Now, request: &ControlRequest) -> HashSet<usize> {
         let from = cancels_from(now, request);
         let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
@@ -172,7 +173,7 @@ impl Judge {
         Ok(HashSet::new())
     }
 
-    /// Checks that everything due has been done between two operations, and that the robot requests its next wake-up in time.
+    /// Checks, between two operations, that the robot has done everything that is due, and requests its next wake-up in time.
     pub(crate) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
         let wakeup = robot.next_wakeup();
         hold(wakeup.is_none_or(|at| at > now || now == Timestamp::from_nanos(i64::MAX)), || {
@@ -217,8 +218,8 @@ fn hash_of(request: &ControlRequest) -> ContentHash {
     request.command.content_hash()
 }
 
-/// Whether two orders would drive the device at the same time. Adjacent orders do not, nor does a zero-length order before the start of
-/// another.
+/// Whether two orders would drive the device at the same time. Adjacent orders do not overlap, nor does a zero-length order overlap an
+/// order that starts later.
 fn overlap(held: &Order, new: &Order) -> bool {
     let into_running = held.began && (new.start, new.end()) < (held.start, held.end());
     into_running || new.start < held.end() && held.start < new.end()

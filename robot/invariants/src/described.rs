@@ -1,5 +1,5 @@
-//! Robots with any valid description: each robot describes itself, and each device can be driven to its bounds and stopped during a
-//! movement.
+//! Checks robots with arbitrary valid descriptions: each robot returns its description, and each device can be driven to its bounds and
+//! stopped.
 
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::{
@@ -10,7 +10,7 @@ use urrcp::{
 use crate::{BEGIN, Violation, hold};
 
 const LINK: LinkId = LinkId(1);
-/// Duration of a movement from one bound to the other.
+/// Duration of a device's movement from one of its bounds to the other.
 const WAY: Span = Span::from_millis(1_000);
 
 /// Requests the description of a robot, and drives each of its devices from bound to bound. Checks that the robot answers each request
@@ -40,7 +40,8 @@ pub fn drive_all(block: &InitializationBlock) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Returns commands that drive a device from bound to bound in every control type, and halfway back. A stop and a reading follow.
+/// Returns commands for every control type of a device: a script from bound to bound and back, a stop, a value at each bound, a stop, and
+/// a sensor reading.
 fn commands(device: &Device) -> Vec<Command> {
     let mut commands = Vec::new();
     for (control_type, _) in device.available_control_types.iter() {

@@ -13,7 +13,7 @@ use crate::{Violation, hold};
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
-    /// Judges the response to an inquiry, after everything that was due has been judged.
+    /// Judges the response to an inquiry. Everything that was due before the inquiry has already been judged.
     pub(crate) fn inquired(
         &mut self,
         now: Now,

@@ -13,36 +13,36 @@ use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
 
-/// The duties of a robot, and its previous messages.
+/// Judge of one robot: what the robot's devices must do, and the messages that the robot has sent and received.
 #[derive(Debug)]
 pub(crate) struct Judge {
     pub(crate) heard: Heard,
     pub(crate) devices: HashMap<DeviceId, DeviceModel>,
     pub(crate) answers: HashMap<RequestId, ControlResponse>,
     pub(crate) serials: usize,
-    /// Serial numbers of the orders that the judged event has cancelled.
+    /// Serial numbers of the orders that the current event has cancelled.
     pub(crate) cancelled: HashSet<usize>,
-    /// Earliest start of the orders that the judged event cancels. `None`: it cancels all orders.
+    /// Earliest start of the orders that the current event cancels. `None`: it cancels all orders.
     cancels_from: Option<Now>,
     /// Content hash of each accepted request that contained one.
     pub(crate) hashes: HashMap<RequestId, ContentHash>,
     /// Actual start of each request that has started.
     pub(crate) starts: HashMap<RequestId, Now>,
-    /// Effects of the leases that the judged event has ended, by device.
+    /// For each device, the orders that end because the current event has ended their leases.
     lost: HashMap<DeviceId, Lost>,
-    /// Devices that the judged event has brought to rest.
+    /// Devices that the current event has brought to rest.
     rested: HashSet<DeviceId>,
-    /// Whether the judged event moves a device to its default state.
+    /// Whether the current event moves a device to its default state.
     sends_home: bool,
-    /// Devices about which the robot has sent a report other than the end of a lease.
+    /// Devices about which the robot has reported something other than the end of a lease during the current event.
     acted: HashSet<DeviceId>,
 }
 
-/// The orders of a device that end because leases have ended.
+/// Which orders of a device end because leases have ended.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lost {
     everything: bool,
-    /// Earliest start of those orders that end although they have not started. `None`: no such order ends.
+    /// Earliest start of the orders that end without having started; all orders with a later start end too. `None`: no such order ends.
     from: Option<Now>,
 }
 
@@ -79,7 +79,7 @@ impl Judge {
         }
     }
 
-    /// Records a message on a link, and returns the party that sent it.
+    /// Records a message on a link, and returns the party (a session or a link) that sent it.
     pub(crate) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         self.heard.message(now, link, session)
     }
@@ -90,8 +90,8 @@ impl Judge {
         hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
-    /// Judges the outputs after an operator has seized the robot: all orders must have ended, and only the seizure may have caused
-    /// movements to rest.
+    /// Judges the outputs after an operator has seized the robot: all orders must have ended, and the robot may only bring devices to
+    /// rest.
     pub(crate) fn seized(
         &mut self,
         now: Now,
@@ -105,7 +105,7 @@ impl Judge {
         hold(held.is_none(), || format!("the robot was seized and still holds {held:?}"))
     }
 
-    /// Judges outputs without a request, where all devices may have been stopped.
+    /// Judges the outputs of an event, such as a seizure, that stops all devices without a control request.
     fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.begin_untold(now);
         self.forget_the_last();
@@ -127,7 +127,7 @@ impl Judge {
         Ok(())
     }
 
-    /// Marks orders as started if their start has come and their first value is due later. Robots do not report such a start.
+    /// Marks orders as begun if their start time has been reached and their first value is due later. Robots do not report such a start.
     fn begin_untold(&mut self, now: Now) {
         self.devices.values_mut().for_each(|device| device.begin_untold(now, &self.heard));
     }
@@ -193,7 +193,7 @@ impl Judge {
         Ok(())
     }
 
-    /// Checks that the end of a lease has ended exactly the orders that it must end.
+    /// Checks the effects of ended leases: no order that a lease ends is left, and devices come to rest when they must.
     fn check_lost(&self, asked: bool) -> Result<(), Violation> {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
@@ -325,14 +325,14 @@ impl Judge {
     }
 }
 
-/// Removes and returns the first order that `of` selects.
+/// Removes and returns the first order for which `of` returns true.
 fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> {
     let at = device.queue.iter().position(of)?;
     Some(device.queue.remove(at))
 }
 
-/// Judges a motion that brings a device to rest where it is, or moves it to its default state. The motion ends the leases of rates that
-/// continued after their command.
+/// Judges a motion that brings a device to rest where it is, or moves it to its default state. The motion also ends the leases of rates
+/// (such as speeds) that continued after their command.
 fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<(), Violation> {
     let (control_type, to) = match &set.motion {
         Motion::Rest(setpoint) | Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
@@ -359,8 +359,8 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
     Ok(())
 }
 
-/// Whether a motion starts no new movement: a moving position stays where it is or continues in its direction, and a rate changes to its
-/// value at rest.
+/// Whether a motion only ends movements: a moving position stays where it is or continues in its direction, and a rate (such as a speed)
+/// changes to its value at rest.
 fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     const ROUNDING: f64 = 1e-6;
     match &set.motion {
@@ -378,13 +378,13 @@ fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     }
 }
 
-/// Whether an output refuses a control type that the device does not have. The device then moves to its default state.
+/// Whether an output refuses a request because the device lacks the control type. The device then moves to its default state.
 fn is_unsupported(output: &Output) -> bool {
     matches!(output, Output::Send { message: Message::ControlResponse(answer), .. }
         if is_refused(answer, &ErrorCode::UnsupportedControlType))
 }
 
-/// Whether `set` is the order's step at its due time, or the movement to this step.
+/// Whether `set` executes the order's step `step` at its due time, or starts the movement towards this step in time.
 fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     let setpoint = &order.steps[step].setpoint;
     let before = step.checked_sub(1).map_or(Some(order.start), |before| order.time_of(before));
@@ -400,7 +400,7 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     }
 }
 
-/// Checks that, at the instant of a movement, both the lease before the movement and the lease after it are in force.
+/// Checks that, at the instant of a movement, both the lease that applies before it and the lease that applies after it are in force.
 fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Result<(), Violation> {
     let done = step + usize::from(matches!(set.motion, Motion::Set(_)));
     // The movement to a step starts with the previous step, which has already been judged.
@@ -413,8 +413,8 @@ fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Resu
     hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
 }
 
-/// Marks an order as started if the report is about its start. Returns whether it is. A device that holds its value between steps reports
-/// the start with the first value.
+/// Finds the order whose start is reported, and marks it as started. Returns whether there is such an order, and the report is correct. A
+/// device that holds its value between steps reports the start with the first value.
 fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlResponse) -> bool {
     let starts = |order: &Order| match device.spec.interpolation {
         Interpolation::Linear => order.start,
@@ -429,7 +429,7 @@ fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlRe
     begun && value.as_ref() == Some(&report.status_value)
 }
 
-/// Ends an order if the report is about its end. Returns whether it is.
+/// Finds the order whose end is reported, and removes it. Returns whether there is such an order, and the report is correct.
 fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
     let Some(order) = take(device, |order| order.id == report.request_id && order.started && order.is_done())
     else {

@@ -1,4 +1,5 @@
-//! Duties of a device over time, tracked without the device's state machine: its accepted orders, their progress, and their leases.
+//! Model of what a device must do over time, independent of the device's state machine: its accepted orders, their progress, and their
+//! leases.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -8,19 +9,19 @@ use urrcp::{
     Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-/// Maximum delay of a start. A delayed robot drops commands that would start later, as `docs/protocol.md` requires.
+/// Maximum delay of a command's start. A robot drops a command that would start with a longer delay, as `docs/protocol.md` requires.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 
 type Now = Timestamp<Robot>;
 
-/// The party of a lease: a link that has named no session, or a session on any of its links.
+/// Peer whose messages renew a lease: a link on which no session was named, or a session, whichever link it uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Party {
     Link(LinkId),
     Session(usize),
 }
 
-/// The party of each link, and the time of each party's last message.
+/// The party of each link (the peer whose messages renew leases), and the time of each party's last message.
 #[derive(Debug, Default)]
 pub(crate) struct Heard {
     of_link: HashMap<LinkId, Party>,
@@ -29,7 +30,7 @@ pub(crate) struct Heard {
 }
 
 impl Heard {
-    /// Records a message, and returns the party that sent it.
+    /// Records a message, and returns the party (a session or a link) that sent it.
     pub(crate) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
@@ -39,8 +40,8 @@ impl Heard {
         party
     }
 
-    /// Returns the party of a session on this link, and assigns the link to it. The first session that a link names is identified by the
-    /// link; later sessions become separate parties.
+    /// Returns the party of a session, and assigns the link to this party. The first session on a link shares the link's own party; each
+    /// later session becomes a separate party.
     fn session(&mut self, link: LinkId, session: &SessionId) -> Party {
         let fresh = if self.of_session.values().any(|party| *party == Party::Link(link)) {
             Party::Session(self.of_session.len())
@@ -75,11 +76,11 @@ pub(crate) struct Order {
     pub(crate) steps: Vec<Step>,
     pub(crate) is_script: bool,
     condition: Option<StopCondition>,
-    /// Latest end of the lease before the start. `None`: no such limit.
+    /// Time after which the lease that applies before the start has ended in any case. `None`: no such limit.
     pending_until: Option<Now>,
-    /// Number of steps that have been set.
+    /// Number of steps whose values have been set.
     pub(crate) done: usize,
-    /// Whether the start of the command has come.
+    /// Whether the start time of the command has been reached.
     pub(crate) began: bool,
     /// Whether the robot has reported the start of the command.
     pub(crate) started: bool,
@@ -123,8 +124,8 @@ impl Order {
         self.done == self.steps.len()
     }
 
-    /// Whether an empty script ends the command. Such a script ends all commands that have not started and that start at `from` or later,
-    /// or all commands (`None`).
+    /// Whether an empty script cancels the command. With `from`, such a script cancels the commands that start at `from` or later and
+    /// have not started; with `None`, it cancels all.
     pub(crate) fn falls(&self, from: Option<Now>) -> bool {
         from.is_none_or(|from| !self.began && self.start >= from)
     }
@@ -133,19 +134,20 @@ impl Order {
         if self.began { self.time_of(self.done) } else { Some(self.start) }
     }
 
-    /// Returns the end of the lease that applies before the start.
+    /// Returns the end of the lease that applies before the start. `None`: the lease does not end.
     pub(crate) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
         let silent = heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending));
         silent.into_iter().chain(self.pending_until).min()
     }
 
-    /// Returns the end of the lease that applies once `done` steps are done.
+    /// Returns the end of the lease that applies after `done` steps have been set. `None`: the lease does not end.
     pub(crate) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
         let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
-    /// Limits the silence that the pending lease permits, and the end of the pending lease.
+    /// Limits the lease that applies before the start: to a silence of `pending`, and to an end at `until`. `None` leaves a limit
+    /// unchanged.
     pub(crate) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
         self.pending_until = until.or(self.pending_until);
         let Some(pending) = pending else { return };
@@ -165,8 +167,8 @@ impl Order {
         !self.began && self.must_end(heard).is_some_and(|end| end <= now && end <= self.start)
     }
 
-    /// Returns when the robot must end the command: when its lease ends, or at the next event if the lease that follows it would have
-    /// ended by then.
+    /// Returns when the robot must end the command: when its lease ends, or at the command's next event if the lease that applies after
+    /// this event has ended by then.
     pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
         let current =
             if !self.began { self.pending_ends(heard) } else { self.running_ends(heard, self.done) };
@@ -182,13 +184,14 @@ pub(crate) fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// Returns the time from which a request cancels commands, if it is an empty script with a later start.
+/// Returns the start of a request that is an empty script with a start after `now`: it cancels commands that start then or later. `None`
+/// for other requests.
 pub(crate) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
     let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
     Some(start_of(now, request)).filter(|from| empty && *from > now)
 }
 
-/// Rates that continue after the end of their command. That command's lease still covers them.
+/// Rates (such as speeds) that continue after the end of their command, and the command's lease, which still covers them.
 #[derive(Debug)]
 pub(crate) struct Guard {
     pub(crate) id: Option<RequestId>,
@@ -204,7 +207,7 @@ impl Guard {
     }
 }
 
-/// The last movement of a signal, from its start to its target.
+/// The last movement of a signal (one control type of a device), from its start to its target.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Way {
     pub(crate) from: f64,
@@ -220,7 +223,7 @@ impl Way {
         Self { from: value, since: now, to: value, until: now, is_slowing: false }
     }
 
-    /// Returns the signal's value. `None` while its speed changes.
+    /// Returns the signal's value at `now`. `None` while the signal's speed changes.
     pub(crate) fn value(&self, now: Now) -> Option<f64> {
         if now >= self.until {
             return Some(self.to);
@@ -238,16 +241,16 @@ impl Way {
 #[derive(Debug)]
 pub(crate) struct DeviceModel {
     pub(crate) spec: Device,
-    /// Accepted orders, in the order of their execution.
+    /// Accepted commands that have not ended, in the order of their execution.
     pub(crate) queue: Vec<Order>,
     pub(crate) guards: Vec<Guard>,
-    /// Guards that a stop has just released. The robot's reports about them must follow.
+    /// Guards (leases of continuing rates) that a stop has just ended. The robot's reports about their end follow.
     pub(crate) released: Vec<Guard>,
-    /// Last movement of each signal.
+    /// Last movement of each signal, by control type.
     pub(crate) ways: BTreeMap<ControlType, Way>,
-    /// Sending time up to which stops have cancelled the messages of all senders.
+    /// Sending time of a message: stops have cancelled all messages that were sent up to this time, by any sender.
     pub(crate) taken_back: Option<Timestamp<Server>>,
-    /// Sending time after which stops have cancelled no sender's messages.
+    /// Sending time of a message: stops may have cancelled messages that were sent up to this time, but none that were sent later.
     pub(crate) taken_back_at_most: Option<Timestamp<Server>>,
 }
 
@@ -271,7 +274,7 @@ impl DeviceModel {
         self.queue.insert(place, order);
     }
 
-    /// Records a movement of a signal. The lease of the signal's previous command no longer covers it.
+    /// Records a movement of a signal. The lease of the signal's previous command no longer covers the signal.
     pub(crate) fn drive(&mut self, control_type: ControlType, way: Way) {
         self.ways.insert(control_type, way);
         for guard in &mut self.guards {
@@ -280,7 +283,8 @@ impl DeviceModel {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// Records the last step of an order. The order's lease still covers the rates that continue.
+    /// Records that the order at index `at` has set its last step. The order's lease still covers the rates (such as speeds) that
+    /// continue.
     pub(crate) fn guard_what_goes_on(&mut self, at: usize) {
         let order = &self.queue[at];
         let last = order.steps.last().and_then(|step| step.stop_condition);
@@ -298,7 +302,7 @@ impl DeviceModel {
         }
     }
 
-    /// Returns a rate's value at rest. `None` if the signal keeps its value.
+    /// Returns the value that a rate (such as a speed) has at rest. `None` if the rate keeps its value.
     pub(crate) fn rest(&self, rate: ControlType) -> Option<f64> {
         match rate {
             ControlType::Speed | ControlType::Acceleration => Some(0.0),
@@ -312,22 +316,22 @@ impl DeviceModel {
         orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
     }
 
-    /// Whether a lease of a running command or of a continuing rate has ended.
+    /// Whether a lease of a running command, or of a rate (such as a speed) that continues after its command, has ended.
     pub(crate) fn running_lease_is_over(&self, now: Now, heard: &Heard) -> bool {
         let guards = self.guards.iter().chain(&self.released).map(|guard| guard.must_end(heard));
         let running = self.queue.iter().filter(|order| order.began && !order.is_done());
         running.map(|order| order.must_end(heard)).chain(guards).flatten().any(|end| end <= now)
     }
 
-    /// Returns the earliest start of the orders whose lease ended before their start. Orders with this start or a later one are
+    /// Returns the earliest start among the orders whose lease ended before they started. All orders that start then or later are
     /// cancelled.
     pub(crate) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
         let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
         over.map(|order| order.start).min()
     }
 
-    /// Marks orders as started if their start has come and their first value is due later, for a device that holds its value between
-    /// steps.
+    /// If the device holds its value between steps, marks orders as begun whose start time has been reached and whose first value is due
+    /// later.
     pub(crate) fn begin_untold(&mut self, now: Now, heard: &Heard) {
         let falls = self.falls_from(now, heard);
         let untold = self.spec.interpolation == Interpolation::Hold;
@@ -338,12 +342,13 @@ impl DeviceModel {
         }
     }
 
-    /// Whether the device's rest is visible in the outputs, because a speed is set to zero.
+    /// Whether the outputs show that the device comes to rest, because its speed is set to zero.
     pub(crate) fn must_rest(&self) -> bool {
         self.spec.primary_control_type() == Some(ControlType::Speed)
     }
 
-    /// Whether a request may set this value: the device has its control type, and the value is within its limits and on its grid.
+    /// Whether a request may set this value: the device has its control type, and the value is within its limits and a multiple of its
+    /// granularity.
     pub(crate) fn can_take(&self, setpoint: &Setpoint) -> bool {
         match self.spec.available_control_types.get(setpoint.control_type) {
             Some(ControlParameters::Motion(limits)) => {

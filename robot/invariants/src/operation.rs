@@ -1,6 +1,6 @@
 //! Operations on a robot, decoded from arbitrary bytes.
 //!
-//! Times are multiples of a tick, so that many events occur at the same instant, with offsets of a few nanoseconds around them.
+//! Times are multiples of a tick, or a few nanoseconds before or after one. Many events therefore occur at the same instant or almost so.
 
 use arbitrary::{Arbitrary, Unstructured};
 use urrcp::{
@@ -12,13 +12,13 @@ use urrcp::{
 const OPERATIONS_MAX: usize = 128;
 /// Maximum number of steps of a script. The devices accept fewer.
 const STEPS_MAX: usize = 6;
-/// Tick of which all coarse times are multiples.
+/// The tick: all times are multiples of it, apart from offsets of a few nanoseconds.
 const TICK: Span = Span::from_millis(50);
 /// An id that no device of the robot has.
 const NO_DEVICE: &str = "leg";
 const IDS: u8 = 8;
 const SESSIONS: u8 = 3;
-/// Number below which a session number means no session.
+/// Lowest session number that names a session. Lower numbers mean no session.
 const SESSIONLESS: u8 = 240;
 
 /// One operation on a robot.
@@ -28,7 +28,7 @@ pub enum Operation {
     Request(Request),
     /// An earlier request arrives again, possibly on another link.
     Repeat {
-        /// Number of the earlier request among those that were sent.
+        /// Index of the earlier request among the requests that were sent, modulo their number.
         which: u8,
         /// Number of the link.
         link: u8,
@@ -54,7 +54,7 @@ pub enum Operation {
         /// Number of the session, if `link` is a link without a proven identity.
         session: u8,
     },
-    /// A message arrives that a robot, but no server, may send.
+    /// A message arrives that only robots may send, not servers.
     Stray {
         /// Number of the link.
         link: u8,
@@ -63,7 +63,7 @@ pub enum Operation {
     Noise {
         /// Number of the link.
         link: u8,
-        /// Device whose id can still be recognised in the line, by number. `None`: no id can be recognised.
+        /// Number of the device whose id can still be recognised in the line. `None`: no id can be recognised.
         device: Option<u8>,
     },
     /// A link breaks. Later messages of its peer arrive on a new link.
@@ -77,27 +77,27 @@ pub enum Operation {
     HeldUp(Pause),
 }
 
-/// A time without messages, which ends at a tick or a few nanoseconds next to it.
+/// A period without messages. It ends at a tick, or a few nanoseconds before or after one.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Pause {
     ticks: u8,
     nudge: i8,
 }
 
-/// Parameters of an inquiry, as numbers that `written` converts.
+/// Parameters of an inquiry, as arbitrary numbers that `written` converts to an inquiry.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Question {
     pub(crate) link: u8,
     session: u8,
-    /// Numbers of earlier requests about which to ask. The inquiry also asks about one that was never sent.
+    /// Indices of earlier requests that the inquiry asks about. It also asks about a request that was never sent.
     requests: [u8; 3],
     device: u8,
     pending_ticks: Option<u8>,
-    /// Limit of the pending leases in ticks from now; negative values lie in the past.
+    /// Latest end of the pending leases, in ticks from now; a negative value lies in the past. `None`: no limit.
     until_ticks: Option<i8>,
 }
 
-/// Parameters of a control request, as numbers that `written` converts.
+/// Parameters of a control request, as arbitrary numbers that `written` converts to a request.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Request {
     pub(crate) link: u8,
@@ -180,8 +180,8 @@ enum Value {
     Any(f64),
 }
 
-/// Implements `Arbitrary` so that one byte selects a choice: each choice has an exclusive upper bound of the byte, and the last choice
-/// has all other bytes.
+/// Implements `Arbitrary` so that one byte selects a choice: the first whose bound exceeds the byte. If no bound does, the last choice
+/// applies.
 macro_rules! chosen {
     ($kind:ty, $bytes:ident, $($below:literal => $choice:expr,)* else $last:expr) => {
         impl<'a> Arbitrary<'a> for $kind {
@@ -250,7 +250,7 @@ impl Pause {
 }
 
 impl Question {
-    /// Creates the inquiry. It asks about requests that were sent, and about one that was not.
+    /// Creates the inquiry. It asks about requests that were sent, and about one that was never sent.
     pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
@@ -309,7 +309,7 @@ impl Request {
     }
 }
 
-/// Returns the session with this number; usually none.
+/// Returns the session that a number names. Most numbers name none.
 pub(crate) fn session(number: u8) -> Option<SessionId> {
     let named = number.checked_sub(SESSIONLESS)?;
     SessionId::new(format!("session-{}", named % SESSIONS)).ok()

@@ -1,4 +1,4 @@
-//! The scheduling that the system grants to the thread that wakes robots: real-time scheduling, locked memory, and a short time slice.
+//! Requests scheduling from the system for the thread that wakes robots: real-time scheduling, locked memory, and a short time slice.
 //!
 //! Real-time scheduling and locked memory require permission; the short slice and the minimum timer slack do not. The result is reported
 //! in one sentence, with the settings that would permit the refused requests.
@@ -48,7 +48,8 @@ enum Granted {
 }
 
 impl Scheduling {
-    /// Requests this scheduling for the current thread, and locked memory for its process.
+    /// Requests real-time scheduling for the current thread and locked memory for its process, as `realtime` demands. Returns what was
+    /// granted.
     #[must_use]
     pub fn of_this_thread(realtime: Realtime) -> Self {
         if let Err(error) = rustix::thread::set_current_timer_slack(NonZeroU64::new(1)) {
@@ -157,7 +158,7 @@ fn ask_first_in_first_out() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// Returns the highest priority that a limit permits, if it is below [`PRIORITY`].
+/// Returns the highest priority that a limit permits. `None` if it is zero, or not below [`PRIORITY`].
 fn within(limit: Rlimit) -> Option<u32> {
     let allowed = u32::try_from(limit.maximum?).ok();
     allowed.filter(|allowed| *allowed > 0 && *allowed < PRIORITY)
@@ -184,7 +185,7 @@ fn shorten_slice() -> Result<(), uapi::Errno> {
     uapi::sched_setattr(0, &attributes, 0)
 }
 
-/// Locks the memory of the process. Each page is locked when it is first used, so that memory usage does not increase.
+/// Locks the memory of the process. Each page is locked when it is first used, so that locking does not increase memory usage.
 fn lock_memory() -> Result<String, String> {
     let limit = raise_limit(Resource::Memlock).maximum;
     let capable = rustix::thread::capabilities(None)
@@ -199,7 +200,7 @@ fn lock_memory() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// Raises a limit to its maximum, and returns the limit as it was.
+/// Raises a limit to its maximum, and returns the previous limit.
 fn raise_limit(resource: Resource) -> Rlimit {
     let limit = getrlimit(resource);
     let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit });

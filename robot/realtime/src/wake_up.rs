@@ -1,4 +1,4 @@
-//! Measures the wake-up delay of a thread that waits like the thread that wakes robots.
+//! Measures how late a thread wakes that waits in the same way as the thread that wakes robots.
 #![expect(clippy::disallowed_methods, reason = "compares an instant with the one that was asked for")]
 
 use std::io;
@@ -13,7 +13,7 @@ const WAITS: usize = 100;
 /// Interval between two deadlines, long enough that the thread sleeps in between.
 const INTERVAL: Duration = Duration::from_millis(6);
 
-/// Wake-up delays of a thread that waited like the thread that wakes robots.
+/// Measured wake-up delays of a thread that waits in the same way as the thread that wakes robots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WakeUp {
     /// The scheduling that the thread was granted.

@@ -1,4 +1,4 @@
-//! The statement about an operator that a pass proves.
+//! The claim: a statement about an operator, which the operator proves with a pass (a secret key).
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,15 +8,15 @@ use urrcp::{Label, RobotId};
 
 use urrcp::{Proof, Roles};
 
-/// All characters of a name that are percent-encoded. The unreserved characters of RFC 3986 are not. An encoded name therefore contains
-/// no space and no line end.
+/// The characters that are percent-encoded in a name: all except the unreserved characters of RFC 3986. An encoded name therefore
+/// contains no space and no line end.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 pub(super) fn encoded(name: &str) -> String {
     utf8_percent_encode(name, ENCODED).to_string()
 }
 
-/// Decodes a percent-encoded name. `None` if the text is not the one form in which this name is encoded.
+/// Decodes a percent-encoded name. Each name has only one valid encoding. `None` if the text is not the valid encoding of any name.
 pub(super) fn decoded(text: &str) -> Option<String> {
     let name = percent_decode_str(text).decode_utf8().ok()?.into_owned();
     (!name.is_empty() && encoded(&name) == text).then_some(name)
@@ -26,7 +26,7 @@ pub(super) fn robot_id(text: &str) -> Option<RobotId> {
     decoded(text)?.parse().ok()
 }
 
-/// An operator's name, roles and expiry. As a text: `operator NAME ROLES EXPIRES SERIAL`.
+/// What an operator claims to be. Its text form is `operator NAME ROLES EXPIRES SERIAL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// The operator's name.
@@ -45,7 +45,7 @@ pub struct Claim {
 pub struct NoClaim;
 
 impl Claim {
-    /// Returns the proof of identity that links use. `None` if the name is too long for the protocol.
+    /// Returns the operator's identity in the form that links use. `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(format!("operator {}", self.name)).ok()?;
@@ -64,7 +64,7 @@ impl fmt::Display for Claim {
 impl FromStr for Claim {
     type Err = NoClaim;
 
-    /// Parses a claim in exactly the form that `Display` writes. Any other form of this claim is invalid.
+    /// Parses a claim in exactly the form that `Display` writes. Any other form is an error.
     fn from_str(text: &str) -> Result<Self, NoClaim> {
         let words: Vec<&str> = text.split(' ').collect();
         let ["operator", name, roles, expires, serial] = words.as_slice() else { return Err(NoClaim) };

@@ -1,5 +1,5 @@
-//! The handshake: the first three lines of a connection. Each side answers a random number of the other side, so messages from an earlier
-//! connection prove nothing on this one.
+//! The handshake: the first three lines of a connection. Each side must answer the other side's new random number, so that messages from
+//! an earlier connection prove nothing.
 
 use hmac::Mac;
 use urrcp::RobotId;
@@ -11,8 +11,8 @@ use super::secret::{Pass, code};
 
 /// Prefix of all lines of the handshake except the last.
 const VERSION: &str = "URRCP-HMAC 1 ";
-/// Maximum length of a line of the handshake in bytes, including its end. A robot's id and an operator's name have at most 256 characters
-/// each, and each character takes up to twelve bytes when encoded.
+/// Maximum length of a line of the handshake in bytes, including the newline. A robot's id and an operator's name have at most 256
+/// characters each, and each character takes up to twelve bytes when encoded.
 pub(super) const LINE_BYTES_MAX: usize = 8 * 1024;
 /// Size of each side's random number, in bytes.
 pub const NONCE_BYTES: usize = 16;
@@ -36,14 +36,14 @@ pub enum Refused {
     Expired,
     /// The claim was revoked.
     Revoked,
-    /// The operator intended another robot. Contains the id of this robot.
+    /// The operator wants to reach another robot. Contains the id of the robot that refuses.
     OtherRobot(RobotId),
-    /// The claim cannot be read.
+    /// The claim cannot be parsed.
     Unreadable,
 }
 
 impl Refused {
-    /// Returns the line in which the robot reports this refusal.
+    /// Returns the line of the handshake in which the robot reports this refusal.
     #[must_use]
     pub fn line(&self) -> String {
         let why = match self {
@@ -75,7 +75,7 @@ pub enum NotSealed {
     /// The robot refuses the operator's claim.
     #[error("{}", sentence(.0))]
     Refused(Refused),
-    /// The robot proves that it knows another secret than the one of the pass, or it proves nothing.
+    /// The robot's proof does not match the pass: the robot has a different secret, or none.
     #[error(
         "the robot does not have the secret of your pass: copy its secret to it, or use the latest passes that `downbeat keys` wrote"
     )]
@@ -106,14 +106,14 @@ pub struct Hello {
 }
 
 impl Hello {
-    /// Returns the line as it is sent, including its end.
+    /// Returns the line as it is sent, including the newline.
     #[must_use]
     pub fn line(&self) -> String {
         let Self { nonce, robot, claim } = self;
         format!("{VERSION}{} {} {claim}\n", hex::hex(nonce), encoded(robot.as_str()))
     }
 
-    /// Parses the line, including its end.
+    /// Parses the line, including the newline.
     ///
     /// # Errors
     /// [`NotSealed::NotSpoken`] for a line of another protocol, and [`Refused::Unreadable`] for a line without a valid claim.
@@ -141,7 +141,7 @@ impl Hello {
     /// Checks the robot's answer to this line.
     ///
     /// # Errors
-    /// [`NotSealed`]; also if the robot refuses the claim.
+    /// [`NotSealed`] if the answer is invalid, or if the robot refuses the claim.
     pub fn check_answer(&self, pass: &Pass, answer: &str) -> Result<(), NotSealed> {
         let rest = answer.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
         let rest = rest.ok_or(NotSealed::NotSpoken)?;
@@ -161,14 +161,14 @@ fn operators_code(pass: &Pass, hello: &str, answer: &str) -> hmac::Hmac<sha2::Sh
     code(&pass.0, &[b"operator\n", hello.as_bytes(), answer.as_bytes()])
 }
 
-/// Returns the operator's second line, which proves that the operator has the pass. `hello` and `answer` are the first two lines,
-/// including their ends.
+/// Returns the operator's second line of the handshake, which proves that the operator has the pass. `hello` and `answer` are the first
+/// two lines, including their newlines.
 #[must_use]
 pub fn proof_of_operator(pass: &Pass, hello: &str, answer: &str) -> String {
     format!("{}\n", hex::hex(&operators_code(pass, hello, answer).finalize().into_bytes()))
 }
 
-/// Checks the operator's second line, which must prove that the operator has the pass.
+/// Checks the operator's second line of the handshake, which must prove that the operator has the pass.
 pub(super) fn check_operator(pass: &Pass, hello: &str, answer: &str, proof: &str) -> Result<(), NotSealed> {
     let proof = proof.strip_suffix('\n').and_then(hex::bytes::<32>).ok_or(NotSealed::NotProven)?;
     operators_code(pass, hello, answer).verify(&proof.into()).map_err(|_| NotSealed::NotProven)
@@ -183,7 +183,7 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// Derives the keys from the first two lines of the handshake, including their ends.
+    /// Derives the keys from the pass and the first two lines of the handshake, including their newlines.
     #[must_use]
     pub fn of(pass: &Pass, hello: &str, answer: &str) -> Self {
         let of = |direction: &[u8]| {
@@ -192,13 +192,13 @@ impl Keys {
         Self { to_robot: of(b"to robot\n"), to_operator: of(b"to operator\n") }
     }
 
-    /// Returns the operator's half of the connection: one part seals records to the robot, the other opens records from the robot.
+    /// Returns the operator's two ends of the connection: one seals records to the robot, the other opens records from the robot.
     #[must_use]
     pub const fn of_operator(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_robot), Opening::new(self.to_operator))
     }
 
-    /// Returns the robot's half of the connection: one part seals records to the operator, the other opens records from the operator.
+    /// Returns the robot's two ends of the connection: one seals records to the operator, the other opens records from the operator.
     #[must_use]
     pub const fn of_robot(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_operator), Opening::new(self.to_robot))

@@ -1,4 +1,4 @@
-//! The passes of an operator, which are in a file next to the operator's identity file.
+//! The passes of an operator (keys that prove the operator's claims to robots), in a file next to the operator's identity file.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ pub struct Held {
     pub pass: Pass,
 }
 
-/// All passes of an operator: one for each robot that has a secret.
+/// All passes of an operator: one for each robot that authenticates operators with a secret.
 #[derive(Clone, Debug, Default)]
 pub struct Passes {
     held: Vec<Held>,
@@ -54,7 +54,7 @@ impl Passes {
         held.map(Self::new).ok_or_else(none)
     }
 
-    /// Returns the content of the file of these passes.
+    /// Returns the content of a file that contains these passes.
     #[must_use]
     pub fn text(&self) -> String {
         let head = "# Passes for robots with a secret, written by `downbeat keys`: robot, claim, pass.\n";

@@ -1,5 +1,5 @@
-//! Records: bytes of one direction of a connection, each with a code. The code covers the sequence number of the record, which is not
-//! sent. A record that is repeated, omitted or reordered therefore has a wrong code.
+//! Records: the bytes that a connection carries in one direction are sent in records, each with an authentication code. The code covers
+//! the sequence number of the record, which is not sent. A record that is repeated, omitted or reordered therefore has a wrong code.
 
 use hmac::Mac;
 
@@ -7,12 +7,12 @@ use super::secret::code;
 
 /// Maximum size of a record's content in bytes. A robot has to keep the whole record until it has verified the code.
 pub const RECORD_BYTES_MAX: usize = 16 * 1024;
-/// Number of bytes of a code that are sent: 128 bits, the minimum of RFC 2104 (section 5).
+/// Number of bytes to which a code is truncated before it is sent: 128 bits, the minimum of RFC 2104 (section 5).
 const TAG_BYTES: usize = 16;
 /// Size of a record's header in bytes: the length of the content, and the code.
 const HEAD_BYTES: usize = 4 + TAG_BYTES;
 
-/// A record differs from the one that its sender wrote, or arrived in the wrong order.
+/// Error in a record: it differs from the record that its sender wrote, or arrived in the wrong order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadRecord {
     /// The record is empty or exceeds the maximum length. Contains its length.
@@ -62,7 +62,7 @@ impl Opening {
         Self { key, next: 0, raw: Vec::new(), bad: None }
     }
 
-    /// Adds bytes that were received.
+    /// Appends received bytes, which [`Opening::open`] then processes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.raw.extend_from_slice(bytes);
     }

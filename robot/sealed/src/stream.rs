@@ -118,7 +118,8 @@ fn not_sealed(why: NotSealed) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
-/// Reads the next line, including its end. Bytes after the line stay in `came`. Fails at once if the line does not start with `begin`.
+/// Reads the next line, including the newline. Bytes that were received after the line stay in `came`. Fails at once if the line does not
+/// start with `begin`.
 async fn line<S: AsyncRead + Unpin>(stream: &mut S, came: &mut Vec<u8>, begin: &[u8]) -> io::Result<String> {
     loop {
         let known = came.len().min(begin.len());
@@ -145,7 +146,8 @@ const BEGIN: &[u8] = b"URRCP-HMAC 1 ";
 /// Connects to a robot as an operator.
 ///
 /// # Errors
-/// The connection breaks. Or [`NotSealed`] as the inner error: the robot refuses the claim, or does not prove that it knows the secret.
+/// The connection breaks; or, with [`NotSealed`] as the inner error, the robot refuses the claim, or does not prove that it knows the
+/// secret.
 pub async fn connect<S>(mut stream: S, held: &Held) -> io::Result<Sealed<S>>
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -162,8 +164,8 @@ where
     Ok(Sealed::new(stream, Keys::of(&held.pass, &said, &answer).of_operator(), &came))
 }
 
-/// Accepts the connection of an operator, as a robot. `judge` returns the pass that proves the operator's claim, or the reason for
-/// refusing the claim.
+/// Accepts the connection of an operator, on the robot's side. `judge` returns the pass that proves the operator's claim, or the reason
+/// for refusing the claim.
 pub(super) async fn accept<S, J>(mut stream: S, judge: J) -> io::Result<(Sealed<S>, Hello)>
 where
     S: AsyncRead + AsyncWrite + Unpin,

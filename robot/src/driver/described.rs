@@ -1,4 +1,4 @@
-//! Checks, by a Thrift robot's own description, whether it is the robot that the edge was configured for.
+//! Checks whether a Thrift robot is the robot that the edge is configured for, by means of the robot's own description.
 
 use serde_json::Value;
 use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
@@ -6,7 +6,7 @@ use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 /// Compares a robot's description with its initialization block: its id, if it reports one, the driven devices, and their ranges.
 ///
 /// # Errors
-/// The mismatch. A description that cannot be read is not evidence against the robot.
+/// The mismatch. A description that cannot be parsed counts as a match.
 pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
         tracing::warn!(robot = %block.id, "its description is not JSON; its devices are not compared");
@@ -35,7 +35,7 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
     Ok(())
 }
 
-/// Returns the minimum and maximum of a driven device.
+/// Returns the minimum and maximum value of a device that can be moved. `None` for other devices.
 fn range(device: &Device) -> Option<(f64, f64)> {
     let mut driven =
         device.available_control_types.iter().filter(|(control_type, _)| is_driven(*control_type));

@@ -1,11 +1,11 @@
-//! Rounds values to the decimal grid that a device accepts.
+//! Rounds values to multiples of a device's granularity, as decimal numbers.
 
 use urrcp::{Device, InitializationBlock};
 
 use super::Key;
 
-/// Returns a signal's value, rounded to the device's grid: movements and stops produce values between those of scripts. For example, 82
-/// steps of 0.02 are 1.64, not 1.6400000000000001.
+/// Returns a signal's value, rounded to a multiple of the device's granularity, because movements and stops produce values in between.
+/// For example, 82 times 0.02 is 1.64, not 1.6400000000000001.
 pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
     let device = block.device(device.as_str());
     let Some(limits) = device.and_then(|device| device.available_control_types.limits(*control_type)) else {

@@ -18,7 +18,7 @@ pub struct Lifeline {
 }
 
 impl Lifeline {
-    /// Copies the descriptor without reading from it. `ended` is the message for people when the connection ends. Returns `None` if the
+    /// Copies the descriptor without reading from it. `ended` is the message to users when the connection ends. Returns `None` if the
     /// system has no free descriptors.
     pub fn of(descriptor: &impl AsFd, ended: impl Into<String>) -> Option<Self> {
         let copy = descriptor.as_fd().try_clone_to_owned();
@@ -31,7 +31,7 @@ impl Lifeline {
 /// A thread that watches a lifeline. Dropping the watcher ends the thread and closes the descriptor.
 pub(super) struct Watcher {
     thread: Option<JoinHandle<()>>,
-    /// Write end of a pipe to the thread; closing it wakes the thread.
+    /// Write end of a pipe to the thread. When it is closed, the thread ends.
     over: Option<PipeWriter>,
 }
 
@@ -57,7 +57,7 @@ impl Drop for Watcher {
     }
 }
 
-/// Waits for the end of the descriptor. Returns false if the watcher was dropped before.
+/// Waits until the connection of the descriptor ends. Returns false if the watcher is dropped first.
 fn has_ended(descriptor: &OwnedFd, over: &PipeReader) -> bool {
     // `poll` always reports ends and errors. `RDHUP` also reports a peer that has closed only its sending half: it sends nothing more
     // either.

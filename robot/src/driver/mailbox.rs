@@ -1,7 +1,7 @@
-//! Pending values on their way from the precise thread to a driver's thread.
+//! Values that wait on their way from the precise thread (which runs the robot's state machine) to a driver's thread.
 //!
-//! For each signal of a device, at most one value waits, and one movement that starts after it; newer ones replace them. Adding a value
-//! never waits for the driver.
+//! For each signal of a device, at most one value waits, and at most one movement that starts from this value. Newer ones replace them.
+//! Adding a value never waits for the driver.
 #![expect(clippy::disallowed_methods, reason = "waits until the next sample or ping is due")]
 
 use std::collections::hash_map::Entry;
@@ -22,7 +22,7 @@ use crate::tolerance::Tolerance;
 
 pub(crate) type Key = (DeviceId, ControlType);
 
-/// A moving signal, and the clock of its times.
+/// A moving signal, and the clock to which its times refer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Movement {
     pub(crate) signal: Signal,
@@ -45,13 +45,13 @@ impl Value {
     }
 }
 
-/// A request of the machine to the hardware.
+/// A request of the robot's state machine to the hardware.
 #[derive(Clone, Debug)]
 pub(crate) enum Order {
     Set(Key, Value),
     Follow(Key, Movement),
     Read(ReadingId, DeviceId),
-    /// Report to the machine once all earlier orders for the device have been executed.
+    /// Report to the state machine once all earlier orders for the device have been executed.
     Confirm(Ticket, DeviceId),
     Plan(PlanOrder),
 }
@@ -59,7 +59,7 @@ pub(crate) enum Order {
 /// An order for a driver that times scripts by itself.
 #[derive(Clone, Debug)]
 pub(crate) enum PlanOrder {
-    /// Take these steps of a script. The clock is the one to which their times refer.
+    /// Take these steps of a script. Their times refer to the contained clock.
     Take(PlanPart<Robot>, HostClock),
     Cancel(PlanCancel),
 }
@@ -79,27 +79,28 @@ pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
 /// Properties of a connected driver on which the mailbox depends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DriverTraits {
-    /// Whether the hardware has taken a value once the driver's call has returned.
+    /// Whether a returned call of the driver means that the hardware itself has taken the value.
     pub(crate) acknowledges: bool,
     /// Whether the driver receives in one call all values that are due at the same instant.
     pub(crate) takes_frames: bool,
     /// Interval between two pings in the last second before a start.
     pub(crate) ping_period: Duration,
-    /// Maximum time near a start without a sign of life from the hardware. `None` if the driver does not declare it.
+    /// Maximum time for which the hardware may show no sign of life near a start. `None` if the driver declares none.
     pub(crate) silence_max: Option<Duration>,
 }
 
 /// The next work of a driver's thread.
 #[derive(Debug)]
 pub(crate) enum Work {
-    /// Set these values, then follow these movements. More than one entry only for a driver that takes frames.
+    /// Set these values, then follow these movements. Only a driver that takes frames (several values per call) receives more than one
+    /// entry.
     Drive(Vec<Drive>),
     Read(ReadingId, DeviceId),
     /// Take a script, or end one.
     Plan(PlanOrder),
     /// Forward these reports of the driver about scripts that it times by itself.
     Words(Vec<PlanReport>),
-    /// Report that the hardware has taken the orders about which these tickets ask.
+    /// Report that the hardware has taken all orders that were given before these tickets (questions of the state machine).
     Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
     Ping,
@@ -117,19 +118,19 @@ pub(crate) enum Work {
 const WORDS_MAX: usize = 10_000;
 /// Maximum number of sensors whose unsolicited readings are kept.
 const PUSHED_MAX: usize = 10_000;
-/// Maximum time for which a reading is postponed while a movement is near.
+/// Maximum time for which a sensor reading is postponed while a movement is near.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
 /// Delay after which the mailbox checks again whether a ping would delay a movement.
 const PING_RETRY: Duration = Duration::from_millis(2);
 
-/// Evidence of life from a successful call to the hardware.
+/// What a successful call to the hardware shows about whether the hardware is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sign {
     /// The hardware answered.
     Answered,
-    /// The hardware showed a sign of life this long before the answer, as its driver reports.
+    /// The driver reports that the hardware showed a sign of life this long before the answer.
     Seen(Duration),
-    /// No evidence: the call may have reached only the system below the driver.
+    /// The call shows nothing: it may have reached only the system below the driver.
     Unknown,
 }
 
@@ -144,10 +145,10 @@ struct State {
     /// Waiting script orders with their order numbers, oldest first.
     plans: VecDeque<(u64, PlanOrder)>,
     words: Vec<PlanReport>,
-    /// Whether the driver's thread received reports to forward as its last work. If so, other work is next, so that many reports do not
+    /// Whether the last work of the driver's thread was to forward reports. If so, other work comes next, so that many reports cannot
     /// delay it.
     words_were_last: bool,
-    /// Number of orders so far.
+    /// Number of orders that have been added so far.
     orders: u64,
     /// Devices and order numbers of the work that the driver's thread received last. Empty once the thread asks for more work.
     in_hand: Vec<(DeviceId, u64)>,
@@ -172,7 +173,7 @@ struct State {
 struct Waiting {
     set: Option<Value>,
     follow: Option<Movement>,
-    /// Number of the oldest order that this entry includes.
+    /// Order number of the oldest order that this entry includes.
     since: u64,
 }
 
@@ -182,7 +183,7 @@ struct Confirm {
     ticket: Ticket,
     device: DeviceId,
     up_to: u64,
-    /// Whether the hardware has answered since these orders were executed.
+    /// Whether the hardware has answered a call since the orders up to `up_to` were executed.
     answered: bool,
 }
 
@@ -198,7 +199,7 @@ pub(crate) struct Mailbox {
 }
 
 impl Mailbox {
-    /// Returns a mailbox that applies these maximum delays.
+    /// Returns a mailbox that applies the given maximum delays.
     pub(crate) fn tolerating(tolerance: Tolerance) -> Self {
         Self { tolerance, ..Self::default() }
     }
@@ -226,7 +227,7 @@ impl Mailbox {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds orders that the machine gave under this connection number. Orders of an earlier connection are discarded.
+    /// Adds orders that the state machine gave for the connection with this number. Discards orders for an earlier connection.
     pub(crate) fn post(&self, connection: u64, orders: impl Iterator<Item = Order>, demand: Demand) {
         let now = self.now();
         let mut state = self.lock();
@@ -254,7 +255,7 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// Records a new connection. From now, only orders with its number are accepted.
+    /// Records a new connection. From now on, only orders for this connection number are accepted.
     pub(crate) fn connected(&self, connection: u64, manners: DriverTraits) {
         let now = self.now();
         let mut state = self.lock();
@@ -319,7 +320,7 @@ impl Mailbox {
         state
     }
 
-    /// Records that the connection with this number has ended by itself, and the reason.
+    /// Records that the connection with this number has ended without a request, and for which reason.
     pub(crate) fn hung_up(&self, connection: u64, reason: String) {
         let mut state = self.lock();
         if state.connection == connection {
@@ -400,14 +401,14 @@ impl Mailbox {
         }
     }
 
-    /// Returns for how long the hardware has not answered, if that is too long for the pending commands.
+    /// Returns how long the hardware has been silent, if this is too long for the pending commands; otherwise `None`.
     pub(crate) fn silence(&self) -> Option<Duration> {
         let now = self.now();
         let state = self.lock();
         state.pulse.as_ref()?.silence(now, self.tolerance.silence)
     }
 
-    /// Returns the next work for the driver's thread: values first, then signs of life, then readings if no movement is near.
+    /// Returns the next work for the driver's thread: values first, then pings, then sensor readings if no movement is near.
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
         state.in_hand.clear();
@@ -534,7 +535,7 @@ impl State {
         self.confirms = confirms;
     }
 
-    /// Removes and returns the tickets of the questions whose answer is yes.
+    /// Removes and returns the tickets of the questions that can be answered: the hardware has taken the orders.
     fn confirmed(&mut self) -> Vec<Ticket> {
         if self.confirms.is_empty() {
             return Vec::new();

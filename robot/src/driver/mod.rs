@@ -1,8 +1,8 @@
 //! Drives hardware from an edge: the driver trait, the drivers that are part of Downbeat, and the thread around each driver.
 //!
-//! The robot's machine runs on the precise thread and decides which values are set and when, but drivers are slow. Each driver therefore
-//! has its own thread (`worker`) behind a short list of pending values (`mailbox`). A newer value of a signal replaces an older one: a
-//! slow device skips values, and no other robot waits for it.
+//! The robot's state machine runs on the precise thread and decides which values are set and when, but drivers are slow. Each driver
+//! therefore has its own thread (`worker`) behind a short list of pending values (`mailbox`). A newer value of a signal replaces an older
+//! one: a slow device skips values, and no other robot waits for it.
 
 #[cfg(feature = "thrift")]
 mod described;
@@ -56,12 +56,12 @@ use crate::signal::Signal;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriverError {
-    /// The hardware is not connected, or no longer connected. The driver is connected again before any other call.
+    /// The hardware is not connected, or no longer connected. Before any other call, [`Driver::connect`] is called again.
     #[error("{0}")]
     Away(String),
-    /// The hardware is connected and refuses the call. A refused reading or script fails alone. After a refused value, the device is not
-    /// where the robot reported it would be. All commands of the robot therefore end, and the driver is connected again, as after
-    /// [`DriverError::Away`].
+    /// The hardware is connected and refuses the call. If a reading or a script is refused, only this reading or script fails. After a
+    /// refused value, the device is not where the robot reported it would be. All commands of the robot therefore end, and the driver is
+    /// connected again, as after [`DriverError::Away`].
     #[error("{0}")]
     Refused(String),
 }
@@ -131,8 +131,8 @@ pub trait Driver: Send {
     /// Checks whether the hardware is available and able to move: only the hardware's own answer proves that.
     ///
     /// Called twice a second while the robot holds no command, and 20 times a second while it holds one. In the last second before a
-    /// start, it is called 40 times a second. If calls take long, they are less frequent. Near a start, hardware is not ready if it has
-    /// not answered for 150 ms and for twice the duration of its calls.
+    /// start, it is called 40 times a second. If calls take long, they are less frequent. Near a start, hardware counts as not ready once
+    /// its silence exceeds both 150 ms and twice the duration of its calls.
     ///
     /// # Errors
     /// The reason why the hardware is not available.
@@ -140,14 +140,14 @@ pub trait Driver: Send {
 
     /// Returns the time between the hardware's last sign of life and the last [`Driver::ping`], for a driver whose hardware sends states
     /// or heartbeats unasked. `None`, the default: the answer to the ping was the sign of life. Hardware that shows no sign of life for
-    /// longer than [`Rates::silence_max`] is away.
+    /// longer than [`Rates::silence_max`] counts as disconnected.
     fn last_sign(&self) -> Option<Duration> {
         None
     }
 
     /// Returns a descriptor that reports the end of the connection to the hardware: its socket, or the pipe from its process. Called
-    /// after each [`Driver::connect`]. Such an end is then detected at once, even while no request is pending. Without a lifeline, the
-    /// next ping detects it.
+    /// after each [`Driver::connect`]. With this descriptor, the end is detected at once, even while no request is pending; without it,
+    /// at the next ping.
     fn lifeline(&self) -> Option<Lifeline> {
         None
     }
@@ -172,14 +172,15 @@ pub trait Driver: Send {
         false
     }
 
-    /// Returns each device's latency from a value to its first visible motion, as far as the driver declares it. Called after each
-    /// [`Driver::connect`]. The latency is displayed, not compensated.
+    /// Returns the latency of each device for which the driver declares one: the time from a value to the first visible motion. Called
+    /// after each [`Driver::connect`]. The latency is displayed, not compensated.
     fn latency(&self) -> BTreeMap<DeviceId, Duration> {
         BTreeMap::new()
     }
 
-    /// Returns the devices whose scripts the driver receives ahead of time and times by itself. Called after each [`Driver::connect`].
-    /// For these devices, scripts are passed to [`Driver::plan`]; [`Driver::set`] is only called for movements to rest.
+    /// Returns the devices whose scripts the driver receives in advance and times by itself, with how far in advance. Called after each
+    /// [`Driver::connect`]. For these devices, scripts are passed to [`Driver::plan`]; [`Driver::set`] is only called for movements to
+    /// rest.
     fn lookahead(&self) -> BTreeMap<DeviceId, Lookahead> {
         BTreeMap::new()
     }
@@ -188,8 +189,8 @@ pub trait Driver: Send {
     /// `begin_by`.
     ///
     /// The driver reports the script's progress by [`Pushes::plan`]: its start, its steps if the driver knows of them, and its end.
-    /// Without these reports, the script fails. The driver reports an event that the hardware does not show as assumed; a script with an
-    /// assumed end fails as well. If the connection ends, its scripts end: after [`Driver::connect`], none of them may continue.
+    /// Without these reports, the script fails. An event that the hardware does not show is reported as assumed; a script whose end is
+    /// assumed also fails. If the connection ends, its scripts end: after [`Driver::connect`], none of them may continue.
     ///
     /// # Errors
     /// [`DriverError::Refused`] with the reason: only this script ends.
@@ -219,7 +220,7 @@ pub trait Driver: Send {
     }
 
     /// Starts a linear movement and returns at once. A later value or ramp for the same signal replaces the movement. Only called if
-    /// [`Driver::takes_ramps`] returns true; other drivers receive samples.
+    /// [`Driver::takes_ramps`] returns true; other drivers receive samples (intermediate values).
     ///
     /// # Errors
     /// The reason why the movement did not start.
@@ -238,9 +239,10 @@ pub trait Driver: Send {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DriverOptions {
-    /// Samples of a movement per second, for a driver that takes no ramps. `None`: the driver's declared rate, or [`SAMPLES_PER_SECOND`].
+    /// Samples (intermediate values) of a movement per second, for a driver that takes no ramps. `None`: the driver's declared rate, or
+    /// [`SAMPLES_PER_SECOND`].
     pub samples_per_second: Option<f64>,
-    /// Samples of a movement per second by device. Takes precedence over `samples_per_second`.
+    /// Samples of a movement per second, for single devices. Takes precedence over `samples_per_second`.
     pub samples_of: BTreeMap<DeviceId, f64>,
     /// Pings per second in the last second before a start; half as many at other times while the robot holds a command. `None`: the
     /// driver's declared rate, or [`PINGS_PER_SECOND`].
@@ -248,33 +250,33 @@ pub struct DriverOptions {
     /// Maximum readings of each sensor per second. Requests in between are answered with the last reading. `None`: the driver's declared
     /// rate, or one reading per request.
     pub readings_per_second: Option<f64>,
-    /// Limits of movements to rest and to the default state by device, if they are lower than the robot declares.
+    /// Limits for movements to rest and to the default state, by device, where they are lower than those that the robot declares.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
 }
 
 impl DriverOptions {
-    /// Sets the limits of movements to rest and to the default state.
+    /// Sets the limits for movements to rest and to the default state, by device.
     #[must_use]
     pub fn with_limits(mut self, limits: BTreeMap<DeviceId, MotionLimits>) -> Self {
         self.limits = limits;
         self
     }
 
-    /// Sets the number of samples per second.
+    /// Sets the number of samples (intermediate values) of a movement per second.
     #[must_use]
     pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {
         self.samples_per_second = Some(samples_per_second);
         self
     }
 
-    /// Sets the number of samples per second of one device.
+    /// Sets the number of samples of a movement per second for one device.
     #[must_use]
     pub fn with_samples_of(mut self, device: DeviceId, samples_per_second: f64) -> Self {
         self.samples_of.insert(device, samples_per_second);
         self
     }
 
-    /// Sets the number of pings per second.
+    /// Sets the number of pings per second in the last second before a start.
     #[must_use]
     pub const fn with_pings_per_second(mut self, pings_per_second: f64) -> Self {
         self.pings_per_second = Some(pings_per_second);
@@ -289,10 +291,10 @@ impl DriverOptions {
     }
 }
 
-/// A request of a machine to its hardware. Times refer to the robot's clock, which is the host's clock.
+/// A request of a robot's state machine to the hardware. Times refer to the robot's clock, which is the host's clock.
 #[derive(Clone, Debug)]
 pub(crate) enum Wanted {
-    /// Set a value: one of a script, with its due time, or one of a stop, without.
+    /// Set a value. A value of a script has a due time; a value of a stop has none (`None`).
     Set(Key, Setpoint, Option<Timestamp<Robot>>),
     Follow(Key, Signal),
     Read(ReadingId, DeviceId),

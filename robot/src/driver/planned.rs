@@ -1,4 +1,4 @@
-//! Scripts that a driver times by itself: hands them to the driver, ends them, and forwards the driver's reports.
+//! Manages scripts that a driver times by itself: hands them to the driver, ends them, and forwards the driver's reports.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -17,16 +17,16 @@ use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
 pub(crate) enum PlanNews {
     /// An event of a script and its time, as the driver reports them.
     Word { plan: PlanId, at: Timestamp<HostTime>, event: PlanEvent },
-    /// The driver did not take the part of a script that starts with the step `first`.
+    /// The driver refused the part of a script that starts with step `first`.
     Refused { plan: PlanId, first: usize, error: ControlError },
     /// The driver has ended the script because it was ordered to.
     Cancelled(PlanId),
 }
 
-/// Threshold in clock difference: above it, the system clock must have been set.
+/// Change in the difference between two clocks above which the system clock must have been set.
 const CLOCK_SET: Span = Span::from_micros(100);
 
-/// The scripts that a driver has received and that are not over.
+/// The scripts that a driver has received and that have not ended.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     plans: BTreeMap<PlanId, Have>,
@@ -57,7 +57,7 @@ impl Given {
         self.ahead
     }
 
-    /// Whether the device follows a script at `now`, and therefore no longer follows an earlier movement.
+    /// Whether the device is following a script at `now`, instead of an earlier movement.
     pub(super) fn is_followed_by(&self, device: &DeviceId, now: Instant) -> bool {
         self.plans.values().any(|have| have.device == *device && have.start <= now)
     }
@@ -71,7 +71,7 @@ impl Worker {
         }
     }
 
-    /// Hands a part of a script to the driver. If the part is too late, it is refused, and the machine ends the script.
+    /// Hands a part of a script to the driver. A part that is too late is refused, and the robot's state machine then ends the script.
     fn hand_over(&mut self, mut part: PlanPart<Robot>, clock: HostClock) -> Result<(), Lost> {
         let (plan, first) = (part.plan, part.first);
         let now: Timestamp<Robot> = clock.now().assume_clock();
@@ -112,7 +112,7 @@ impl Worker {
         self.tell(News::Plan(PlanNews::Refused { plan, first, error }));
     }
 
-    /// Cancels a script. If the driver does not have the script, or has ended it by itself, the script is already over.
+    /// Cancels a script. A script that the driver does not have, or has already ended, is reported as cancelled at once.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), Lost> {
         if self.given.plans.contains_key(&cancel.plan) {
             self.call(Sign::Unknown, |driver| driver.cancel(cancel)).map_err(|error| match error {
@@ -129,7 +129,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Forwards the driver's reports about scripts. A late report about a script that is already over is permitted.
+    /// Forwards the driver's reports about scripts. A report about a script that has already ended is ignored.
     pub(super) fn pass_on(&mut self, words: Vec<PlanReport>) -> Result<(), Lost> {
         for PlanReport { plan, at, event } in words {
             let Some(have) = self.given.plans.get(&plan) else {

@@ -9,8 +9,8 @@
 //! | `ping` | `ok`, or `ok MILLISECONDS` since the hardware last showed a sign of life |
 //!
 //! A program that answers `hello` with `ok 2` speaks version 2. It then receives `init JSON` with the robot's description, and answers
-//! `ok JSON` with its capabilities. It may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it receives
-//! `frame JSON` instead of `set`.
+//! `ok JSON` with its capabilities. It may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames (several
+//! values at once), it receives `frame JSON` instead of `set`.
 //!
 //! A program that times scripts by itself receives `plan JSON`, `more JSON` and `cancel JSON`. It reports `started PLAN NS`, `step PLAN
 //! INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. NS is a time in nanoseconds; the word `assumed` after it
@@ -55,20 +55,20 @@ impl Default for Timeouts {
 struct Declared {
     /// Whether the hardware moves linearly by itself.
     ramps: bool,
-    /// Whether the program receives at once all values that are due at the same instant.
+    /// Whether the program receives all values that are due at the same instant in one line.
     frames: bool,
     /// Latency from a value to the first visible motion, in milliseconds, by device.
     latency_ms: BTreeMap<DeviceId, f64>,
-    /// Look-ahead of a program that times scripts by itself and wants to receive them whole. `None`: it does not.
+    /// Devices whose scripts the program times by itself and wants to receive whole. `None`: no device.
     lookahead: Option<Of<Whole>>,
-    /// How far ahead a program that times scripts by itself wants to receive the steps of scripts, in milliseconds. `None`: it does not
-    /// request this.
+    /// Devices whose scripts the program times by itself, with how many milliseconds ahead it wants to receive the steps. `None`: no
+    /// device.
     lookahead_ms: Option<Of<f64>>,
-    /// Preferred number of samples of a movement per second.
+    /// Preferred number of samples (intermediate values) of a movement per second.
     samples_per_second: Option<Of<f64>>,
     pings_per_second: Option<f64>,
-    /// Maximum time without a sign of life from the hardware, in milliseconds. Set by a program whose answer to `ping` contains the age
-    /// of the last one.
+    /// Maximum time without a sign of life from the hardware, in milliseconds. Set by a program that answers `ping` with the age of the
+    /// last sign of life.
     hardware_silence_ms: Option<f64>,
     /// Maximum number of readings of a sensor per second.
     readings_per_second: Option<Of<f64>>,
@@ -98,11 +98,12 @@ impl<T: Copy> Of<T> {
     }
 }
 
-/// Minimum and maximum lead time with which a program may request the steps of scripts, in milliseconds.
+/// Minimum and maximum of the declared `lookahead_ms`: how many milliseconds ahead a program may request the steps of scripts.
 const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
 /// Minimum and maximum of the declared `hardware_silence_ms`, in milliseconds.
 const HARDWARE_SILENCE_MS: (f64, f64) = (50.0, 60_000.0);
-/// Silence of the edge in milliseconds after which a program does not start a script, and silence after which it ends a running one.
+/// If the edge is silent for longer than the first time, a program starts no script; after the second, it ends a running script. Both are
+/// in milliseconds.
 const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
 
 /// A program that drives a robot's devices.
@@ -115,8 +116,8 @@ pub struct Program {
     ear: Option<UnsolicitedInput>,
     /// Time between the hardware's last sign of life and the last ping, if the program reports it.
     last_sign: Option<Duration>,
-    /// Silence of the edge in milliseconds after which the program does not start a script, and silence after which it ends a running
-    /// one.
+    /// If the edge is silent for longer than the first time, the program starts no script; after the second, it ends a running script.
+    /// Both are in milliseconds.
     edge_silence_ms: (u32, u32),
 }
 
@@ -155,7 +156,7 @@ impl Program {
         self
     }
 
-    /// Sets both limits of the edge's silence to an hour.
+    /// Sets both limits of the edge's silence to an hour, so that a program keeps its scripts while the edge is silent.
     #[cfg(test)]
     pub(super) const fn borne_in_silence(mut self) -> Self {
         self.edge_silence_ms = (3_600_000, 3_600_000);
@@ -196,7 +197,7 @@ impl Program {
         }
     }
 
-    /// Ends a program whose answer does not belong to the line it received, because no further answer could be trusted.
+    /// Ends a program whose answer does not match the line that it received, because its further answers cannot be trusted.
     fn misunderstood(&mut self, line: &str, answer: &str) -> DriverError {
         self.running = None;
         let command = &self.command;
@@ -523,7 +524,7 @@ mod tests {
             std::fs::read_to_string(&self.log).unwrap().lines().map(str::to_owned).collect()
         }
 
-        /// Returns the JSON in a logged line, which starts with `word`.
+        /// Parses the JSON that follows `word` in the logged line with index `line`.
         fn json(&self, line: usize, word: &str) -> serde_json::Value {
             serde_json::from_str(self.lines()[line].strip_prefix(word).unwrap()).unwrap()
         }

@@ -1,32 +1,33 @@
 //! Signs of life: when the hardware is pinged, and how long it may be silent.
 //!
-//! While the machine holds no command, the hardware is pinged occasionally. Once the machine holds a command, the hardware is pinged
-//! often, and still more often as a start approaches. A start thus relies on a recent sign of life. Pings take at most half of the
-//! hardware's time. No ping is sent right before a movement, because the movement would have to wait.
+//! While the robot holds no command, the hardware is pinged occasionally. While it holds a command, the hardware is pinged often, and
+//! most often just before a start. A start thus relies on a recent sign of life. Pings take at most half of the hardware's time. No ping
+//! is sent right before a movement, because the movement would have to wait.
 
 use std::time::{Duration, Instant};
 
 use crate::hardware::START_NEAR;
 
-/// Minimum ping interval while the machine holds no command.
+/// Minimum ping interval while the robot holds no command.
 const IDLE: Duration = Duration::from_millis(500);
-/// Ping interval while a command is held or runs, as a multiple of the interval near a start.
+/// Ping interval while a command waits or runs, as a multiple of the ping interval near a start.
 const HELD: u32 = 2;
-/// Maximum time before a movement in which no ping is sent; shorter if the hardware answers fast.
+/// Maximum period before a movement during which no ping is sent. The period is shorter if the hardware answers fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
-/// Time without an answer after which a ping is sent even if a movement is near: first near a start, then at other times.
+/// Time without an answer after which a ping is sent even if a movement is near: the first value applies near a start, the second at
+/// other times.
 const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
 
-/// State of the machine that determines how often its hardware is pinged.
+/// State of the robot's state machine that determines how often the hardware is pinged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Demand {
-    /// Whether a command is held or runs.
+    /// Whether a command is running, or waiting for its start.
     pub(crate) held: bool,
     pub(crate) start: Option<Instant>,
     /// Time of the next action of the robot's state machine.
     pub(crate) next_due: Option<Instant>,
-    /// Whether the report about a command's end waits for an answer of the hardware.
+    /// Whether the report about the end of a command is delayed until the hardware has answered.
     pub(crate) confirmation: bool,
 }
 
@@ -39,9 +40,9 @@ pub(super) struct Pulse {
     answered: Instant,
     /// Time of the hardware's last sign of life.
     seen: Instant,
-    /// Whether the driver reports the hardware's signs of life. If so, the driver's other answers are no signs of life.
+    /// Whether the driver reports the hardware's signs of life. If so, the driver's other answers do not count as signs of life.
     reports_signs: bool,
-    /// Maximum time without a sign of life, if the driver reports these signs and declares it; otherwise zero.
+    /// Maximum time without a sign of life, as declared by a driver that reports these signs. Zero for other drivers.
     signs_max: Duration,
     /// Duration of the longest recent call to the driver.
     took: Duration,
@@ -75,7 +76,7 @@ impl Pulse {
         self.busy_since = since;
     }
 
-    /// Records a new demand. Returns true if it changes the time of the next ping.
+    /// Records a new state of the state machine. Returns true if it changes the time of the next ping.
     pub(super) fn demand(&mut self, now: Instant, demand: Demand) -> bool {
         let before = std::mem::replace(&mut self.demand, demand);
         self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
@@ -122,7 +123,7 @@ impl Pulse {
         self.answered + every.max(self.took)
     }
 
-    /// Whether a ping is sent even if a movement is near.
+    /// Whether the hardware has not answered for so long that a ping is sent even if a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
         now.saturating_duration_since(self.answered) >= self.overdue(now)
     }
@@ -137,12 +138,12 @@ impl Pulse {
         self.demand.start.is_some_and(|start| start <= now + START_NEAR)
     }
 
-    /// Whether no movement is due so soon that the answer to a ping could delay it.
+    /// Whether a ping can be answered without delaying the next movement.
     pub(super) fn is_quiet(&self, now: Instant) -> bool {
         self.nothing_within(now, self.quiet())
     }
 
-    /// Whether no movement is due so soon that a reading could delay it.
+    /// Whether a sensor can be read without delaying the next movement.
     pub(super) fn is_quiet_for_readings(&self, now: Instant) -> bool {
         self.nothing_within(now, QUIET)
     }
@@ -155,11 +156,11 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// Returns for how long the driver has not answered, or the hardware has shown no sign of life, while a command is held. Returns
-    /// `None` up to `silence_max`, or up to a longer time if calls are slow.
+    /// Returns how long the driver or the hardware has been silent, if a command is held and the silence is too long. The limit is
+    /// `silence_max`, or more if calls are slow. `None` within the limit.
     ///
-    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due before the next ping can be sent: a
-    /// start relies on a recent sign of life.
+    /// Time in which this process was delayed and sent no ping does not count as silence. The exception is a start before the next
+    /// possible ping, because a start relies on a recent sign of life.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let held_since = self.held_since.filter(|_| !self.reading)?;
         let start_is_due = self.demand.start.is_some_and(|start| start <= now + QUIET);

@@ -36,8 +36,8 @@ impl Pushes {
         self.0.read_by_itself(sensor, reading);
     }
 
-    /// Reports an event of a script that the driver times by itself. `at` is a time on the clock by which the script was handed over. If
-    /// that clock is set meanwhile, times must continue as before. Ignored while the hardware is not connected.
+    /// Reports an event of a script that the driver times by itself. `at` is a time on the clock to which the script's times refer. If
+    /// this clock is set meanwhile, `at` must be as if it had not been set. Ignored while the hardware is not connected.
     pub fn plan(&self, plan: PlanId, at: Timestamp<SystemClock>, event: PlanEvent) {
         self.0.told_of_plan(PlanReport { plan, at, event });
     }

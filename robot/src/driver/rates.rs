@@ -7,12 +7,12 @@ use urrcp::DeviceId;
 
 use super::DriverOptions;
 
-/// Default number of samples per second: the rate at which hobby servos accept values.
+/// Default number of samples (intermediate values of a movement) per second: the rate at which hobby servos accept values.
 pub const SAMPLES_PER_SECOND: f64 = 50.0;
-/// Default maximum number of pings per second, in the last second before a start.
+/// Default maximum number of pings per second, which applies in the last second before a start.
 pub const PINGS_PER_SECOND: f64 = 40.0;
 
-/// Minimum and maximum number of samples per second of one device.
+/// Minimum and maximum number of samples (intermediate values of a movement) per second, for one device.
 pub const SAMPLES_BOUNDS: (f64, f64) = (0.1, 1_000.0);
 /// Minimum and maximum number of pings per second. With fewer pings, a start would rely on an old sign of life; more pings only cost
 /// time.
@@ -24,23 +24,23 @@ pub const READINGS_BOUNDS: (f64, f64) = (0.01, 1_000.0);
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Rates {
-    /// Samples of a movement per second by device. [`SAMPLES_PER_SECOND`] applies to devices without an entry.
+    /// Samples (intermediate values) of a movement per second, by device. [`SAMPLES_PER_SECOND`] applies to devices without an entry.
     pub samples_per_second: BTreeMap<DeviceId, f64>,
     /// Maximum number of pings per second. `None`: [`PINGS_PER_SECOND`].
     pub pings_per_second: Option<f64>,
     /// Maximum number of readings per second by sensor. Sensors without an entry have no limit.
     pub readings_per_second: BTreeMap<DeviceId, f64>,
-    /// Maximum time without a sign of life from the hardware, for a driver that reports these signs by [`Driver::last_sign`].
+    /// Maximum time for which the hardware may show no sign of life, for a driver that reports these signs by [`Driver::last_sign`].
     ///
     /// [`Driver::last_sign`]: super::Driver::last_sign
     pub silence_max: Option<Duration>,
 }
 
-/// Default maximum time without a sign of life from the hardware, if its driver reports these signs.
+/// Default maximum time for which the hardware may show no sign of life, if its driver reports these signs.
 pub const HARDWARE_SILENCE_MAX: Duration = Duration::from_secs(1);
 
 impl Rates {
-    /// Returns the interval between two samples of a device.
+    /// Returns the interval between two samples (intermediate values) of a movement of this device.
     pub(super) fn sample_period(&self, options: &DriverOptions, device: &DeviceId) -> Duration {
         let option = options.samples_of.get(device).copied().or(options.samples_per_second);
         let rate = option.or_else(|| self.samples_per_second.get(device).copied());
@@ -53,7 +53,7 @@ impl Rates {
         period(rate.unwrap_or(PINGS_PER_SECOND), PINGS_BOUNDS)
     }
 
-    /// Returns how long a sensor's reading answers further requests. `None`: each request reads the sensor again.
+    /// Returns how long a sensor's reading is reused for further requests. `None`: each request reads the sensor again.
     pub(super) fn reading_period(&self, options: &DriverOptions, sensor: &DeviceId) -> Option<Duration> {
         let rate = options.readings_per_second.or_else(|| self.readings_per_second.get(sensor).copied());
         rate.map(|rate| period(rate, READINGS_BOUNDS))

@@ -90,12 +90,12 @@ impl UnsolicitedInput {
 pub(super) struct Running {
     child: Child,
     input: Option<ChildStdin>,
-    /// A copy of the descriptor of the program's output, only used to detect the end.
+    /// A copy of the descriptor of the program's output, used only to detect the end of the program.
     pub(super) output: OwnedFd,
     answers: Receiver<String>,
     /// Whether the program may send unsolicited reports.
     tells: Arc<AtomicBool>,
-    /// Maximum time for which the output of a program that has ended may stay open after its input has closed.
+    /// Maximum time from the moment at which a program that ends closes its input until it closes its output.
     ends_within: Duration,
 }
 
@@ -179,12 +179,12 @@ impl Running {
 /// Interval at which a waiting `ask_unless` checks whether the answer is still needed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Maximum time between the moments at which a program that ends closes its input and its output.
+/// Maximum time from the moment at which a program that ends closes its input until it closes its output.
 const ENDS_WITHIN: Duration = Duration::from_millis(200);
-/// Maximum number of unread answers.
+/// Maximum number of the program's answers that have not been read yet.
 const LAST_WORDS_MAX: usize = 8;
 
-/// Maximum length of a line that an error message shows whole; of longer lines, it shows only the first word.
+/// Maximum length of a line that an error message shows in full. Of a longer line, it shows only the first word.
 const SHOWN_MAX: usize = 200;
 
 fn seconds(wait: Duration) -> String {
@@ -304,7 +304,7 @@ mod tests {
         check("done 7 9223372036854775807", None);
     }
 
-    /// Returns the error that `ask` reports for a program that no longer reads.
+    /// Starts `command`, a program that soon stops reading, and returns the error that `ask` then reports.
     fn said_of(command: &str, ends_within: Duration) -> String {
         let mut running = Running::start(command, None).unwrap();
         running.ends_within = ends_within;
@@ -327,7 +327,7 @@ mod tests {
         assert_eq!(said_of(ends, Duration::from_secs(50)), "has ended");
     }
 
-    /// Returns the input for unsolicited reports of the sensor `eye`, with its mailbox, which has a connection.
+    /// Returns a receiver of unsolicited reports about the sensor `eye`, and its mailbox, which is connected.
     fn ear() -> (UnsolicitedInput, Arc<crate::driver::Mailbox>) {
         let mailbox = Arc::new(crate::driver::Mailbox::default());
         let ping_period = Duration::from_millis(25);

@@ -12,7 +12,7 @@ use super::{Driver, DriverError, Program, SimulatedDriver, Timeouts};
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DriverSpec {
-    /// `sim`: simulated, without hardware.
+    /// `sim`: a simulation without hardware.
     Simulated,
     /// `thrift://host:port`: a robot that speaks the early Thrift form of URRCP.
     Thrift {

@@ -39,7 +39,7 @@ const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices"
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
                 "control_types": ["position"]}}}]}"#;
 
-/// A robot like `LIFT` whose lift takes longer to come to rest than an edge waits. Its wheel takes half a second.
+/// A robot like `LIFT`, whose lift takes longer to come to rest than an edge that ends waits. Its wheel comes to rest in half a second.
 const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -52,7 +52,7 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
                 "control_types": ["speed"]}}}]}"#;
 
-/// Returns a script that starts `lead` milliseconds from now. `None`: it starts at its receipt, which is never too late.
+/// Returns a request for a script that starts `lead` milliseconds from now. `None`: it starts at its receipt, which is never too late.
 fn request(
     device: &str,
     id: &str,
@@ -75,7 +75,7 @@ fn request(
     })
 }
 
-/// Returns a complete plan without steps.
+/// Returns a complete script without steps, for a driver that times scripts by itself.
 fn empty_plan<C>(device: &DeviceId) -> PlanPart<C> {
     PlanPart {
         plan: crate::PlanId(1),
@@ -97,14 +97,14 @@ struct Bench {
     refuses: AtomicBool,
     panics: AtomicBool,
     takes_ramps: bool,
-    /// Whether `set` must not return yet.
+    /// Whether calls of `set` hang; they return once this value is false.
     busy: AtomicBool,
     line: Option<std::os::unix::net::UnixStream>,
     /// Whether the hardware times the scripts of the arm by itself.
     times_scripts: bool,
 }
 
-/// The test's handle of the hardware. When the test ends or fails, dropping the handle releases a hanging call, because the host waits
+/// The test's handle to the hardware. When the test ends or fails, dropping the handle releases a hanging call, because the host waits
 /// for that call.
 struct Shared(Arc<Bench>);
 
@@ -179,7 +179,7 @@ impl Driver for Fake {
         arm.into_iter().collect()
     }
 
-    /// Reports that the script starts on time, and that it is done on time.
+    /// Reports that the script has started on time, and that it has ended on time.
     #[expect(clippy::disallowed_methods, reason = "hardware takes its time")]
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         if self.bench.refuses.load(Ordering::SeqCst) {
@@ -234,7 +234,7 @@ impl Rig {
         Self::tolerating(Tolerance::AN_HOUR, host, block, bench, options)
     }
 
-    /// Creates a rig with these maximum delays. Other rigs practically permit any delay.
+    /// Creates a rig (a robot with test hardware) that applies these maximum delays. Other rigs permit practically any delay.
     fn tolerating(
         tolerance: Tolerance,
         host: HostOptions,

@@ -20,7 +20,7 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
 
-/// Value of [`ThriftRobot::wait_max`] for robots on a network.
+/// Default of [`ThriftRobot::wait_max`], for robots on a network.
 const WAIT_MAX: Duration = Duration::from_secs(1);
 /// Maximum length of a text from a robot, in bytes: the maximum length of a URRCP line.
 const TEXT_BYTES_MAX: usize = urrcp::LINE_BYTES_MAX;
@@ -134,7 +134,7 @@ impl Driver for ThriftRobot {
     }
 }
 
-/// Whether the connection has ended. A call may notice this before the lifeline does.
+/// Whether the error means that the connection has ended. A call may notice this before the driver's lifeline does.
 fn has_ended(error: &thrift::Error) -> bool {
     let thrift::Error::Transport(error) = error else { return false };
     matches!(error.kind, TransportErrorKind::EndOfFile | TransportErrorKind::NotOpen)
@@ -325,7 +325,7 @@ mod tests {
     const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
 
     /// Time limit of a test. It is not a socket timeout: if a process was suspended, Linux interrupts a read with such a timeout. The
-    /// driver would take this for the end of the connection.
+    /// driver would mistake the interruption for the end of the connection.
     const PATIENCE: Duration = Duration::from_secs(60);
 
     /// An answer of a robot in a test.
@@ -354,7 +354,7 @@ mod tests {
         (ThriftRobot { wait_max: None, ..robot }, serving)
     }
 
-    /// Accepts one connection, and breaks it once the test has taken too long.
+    /// Serves one connection, and closes it if the test takes too long. Returns the received calls.
     #[expect(clippy::disallowed_methods, reason = "the longest time that a real connection takes")]
     fn serve_one(listener: &TcpListener, reply: impl Fn(&str) -> Reply) -> Vec<String> {
         let stream = Arc::new(listener.accept().unwrap().0);
@@ -422,7 +422,7 @@ mod tests {
         calls
     }
 
-    /// Returns the answers of a working robot.
+    /// Returns the answer of a working robot to a call.
     fn in_order(call: &str) -> Reply {
         match call.split(' ').next().unwrap() {
             "ping" => Reply::Bool(true),

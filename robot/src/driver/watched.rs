@@ -17,10 +17,10 @@ pub enum HardwareEvent {
         /// Latency from a value to visible motion, by device, as the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
     },
-    /// The hardware is away or refused a value, for the contained reason. The edge connects again; each failed attempt repeats this
-    /// event.
+    /// The hardware is disconnected or refused a value, for the contained reason. The edge tries to connect again; each failed attempt
+    /// repeats this event.
     Lost(String),
-    /// The hardware did not take a script, for the contained reason.
+    /// The hardware refused a script, for the contained reason.
     Refused(String),
     /// A sensor gave no reading, for the contained reason.
     Unread(String),
@@ -34,7 +34,7 @@ pub enum HardwareEvent {
 }
 
 impl HardwareEvent {
-    /// Converts a report of a driver's thread to an event for the terminal. `None` if people need not see it.
+    /// Converts a report of a driver's thread to an event for the terminal. `None` if users need not see the report.
     pub(crate) fn of(news: &News) -> Option<Self> {
         match news {
             News::There { latency, .. } => Some(Self::There { latency: latency.clone() }),

@@ -1,4 +1,4 @@
-//! The thread around a driver: connects the driver, passes values to it, samples movements, and reports failures.
+//! The thread around a driver: connects the driver, passes values to it, sends intermediate values of movements, and reports failures.
 #![expect(clippy::disallowed_methods, reason = "samples and pings on the monotonic clock")]
 
 use std::collections::BTreeMap;
@@ -21,16 +21,17 @@ use crate::tolerance::Tolerance;
 
 /// Pause between two attempts to connect: first the initial one, which doubles after each attempt, then the maximum.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
-/// Time for which an unsolicited reading answers requests, if the sensor has no `max_delay`.
+/// Time for which requests are answered with an unsolicited reading, if the sensor has no `max_delay`.
 const PUSHED_COUNTS: Duration = Duration::from_secs(1);
 /// Interval at which an idle thread polls the mailbox.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// Maximum number of values that an error about a refused frame names.
+/// Maximum number of values that an error message lists if the driver refuses several values in one call.
 const UNTAKEN_SHOWN: usize = 8;
-/// Maximum time for the devices to come to rest when the edge ends. After that, speeds are set to zero at once, and positions stay.
+/// Maximum time for the devices to come to rest when the edge ends. After that, speeds are set to zero at once, and positions stay as
+/// they are.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
-/// A report of a driver's thread to the machine.
+/// A report of a driver's thread to the robot's state machine.
 #[derive(Debug)]
 pub(crate) enum News {
     /// The hardware is connected. `connection` is the number of this connection, counted from the start of the edge.
@@ -43,11 +44,11 @@ pub(crate) enum News {
     },
     /// The hardware is not connected, or no longer connected; contains the reason.
     Away { reason: String },
-    /// A value was not set because it was too late by `late`.
+    /// A value was not set because it was too late: its delay was `late`.
     Stale { device: urrcp::DeviceId, late: Duration },
     /// A report about a script that the driver times by itself.
     Plan(PlanNews),
-    /// The hardware has taken the orders that these tickets ask about.
+    /// The hardware has taken all orders that were given before these tickets (questions of the state machine).
     Confirmed(Vec<Ticket>),
     /// A sensor was read. `reading` is the sensor's reading, or the reason for its absence.
     Reading { id: ReadingId, reading: Result<f64, String> },
@@ -71,7 +72,7 @@ impl From<DriverError> for Lost {
 }
 
 impl Lost {
-    /// Returns the error for values that the hardware did not take.
+    /// Returns the error for values that the hardware refused or could not take.
     fn untaken(error: DriverError, values: &[(DeviceId, Setpoint)]) -> Self {
         match error {
             DriverError::Away(reason) => Self::Away(reason),
@@ -99,16 +100,17 @@ pub(crate) struct Worker {
     /// Ramps that the hardware is executing by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
-    /// Whether the hardware received a value, such as a speed, that must come to rest after a reconnection. Positions stay as they are.
+    /// Whether the hardware has received a value, such as a speed, that must be set to rest after a reconnection. Positions stay as they
+    /// are.
     owes_rest: bool,
-    /// Time of the next sample for each sample period.
+    /// Time of the next sample, for each sample period that a movement uses.
     beats: BTreeMap<Duration, Instant>,
     pub(super) given: Given,
     /// Last reading and its time, for sensors with a maximum number of readings per second.
     readings: BTreeMap<DeviceId, (f64, Instant)>,
 }
 
-/// Whether the driver has received a movement, and whether since the last reconnection.
+/// When the driver last received a movement: never, before the last reconnection, or since then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Touched {
     Never,
@@ -120,7 +122,7 @@ enum Touched {
 struct Moving {
     movement: Movement,
     sent: Option<f64>,
-    /// Interval between two samples of the movement.
+    /// Interval between two samples (intermediate values) of the movement.
     period: Duration,
 }
 
@@ -216,8 +218,8 @@ impl Worker {
         }
     }
 
-    /// Executes work until the hardware fails or the mailbox is closed. If the mailbox is closed, returns the movement that was cut
-    /// short, if any, as an error.
+    /// Executes work until the hardware fails or the mailbox is closed. If closing the mailbox cut a movement short, the inner error
+    /// describes the movement.
     fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
@@ -246,7 +248,7 @@ impl Worker {
         }
     }
 
-    /// Returns the time of the next check while a device moves to rest.
+    /// Returns when to check again whether the remaining movements have ended. `None` if no movement remains.
     fn next_until_rest(&self) -> Option<Instant> {
         let sample = self.next_sample();
         let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
@@ -254,7 +256,7 @@ impl Worker {
         sample.into_iter().chain(look).min()
     }
 
-    /// Returns the time of the next sample of any movement.
+    /// Returns the time of the next sample (intermediate value) of any movement. `None` if nothing moves.
     fn next_sample(&self) -> Option<Instant> {
         let at = |moving: &Moving| self.beats.get(&moving.period).copied();
         self.moving.values().filter_map(at).min()
@@ -272,7 +274,7 @@ impl Worker {
         self.mailbox.tolerance()
     }
 
-    /// Whether a stop sets this signal to a value at rest, as with speeds. Positions stay as they are.
+    /// Whether a stop sets this signal to its value at rest, as it does for speeds. Positions stay as they are.
     fn comes_to_rest(&self, device: &DeviceId, control_type: ControlType) -> bool {
         let spec = self.block.device(device.as_str());
         spec.is_some_and(|spec| rest_of(spec, control_type, None).is_some())
@@ -283,7 +285,7 @@ impl Worker {
         self.touched = Touched::Now;
     }
 
-    /// Takes the driver's reports about scripts that were not forwarded yet.
+    /// Removes and returns the driver's reports about scripts that were not forwarded yet.
     pub(super) fn words(&self) -> Vec<PlanReport> {
         self.mailbox.words()
     }
@@ -296,7 +298,7 @@ impl Worker {
             .ok()
     }
 
-    /// Calls the driver, and records the call's duration and sign of life.
+    /// Calls the driver, and records the call's duration, and what the call shows about whether the hardware is alive.
     pub(super) fn call<T>(
         &mut self,
         sign: Sign,
@@ -310,8 +312,8 @@ impl Worker {
         called
     }
 
-    /// Sets the values and starts the movements. A value that is too late is reported instead of set, and its movement is skipped; the
-    /// machine ends both.
+    /// Sets the values and starts the movements. A value that is too late is not set but reported, and the movement that follows it is
+    /// skipped; the robot's state machine then ends both.
     fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
         let late_max = self.tolerance().step.to_duration();
         let mut values = Vec::new();
@@ -411,8 +413,8 @@ impl Worker {
         Ok(())
     }
 
-    /// Ends the remaining movements. Rates are set to their target, which is rest. A position that is still moving stays at its last
-    /// sample, because the rest of its path would be one jump.
+    /// Ends the remaining movements. Rates (such as speeds) are set to their target, which is rest. A position that is still moving stays
+    /// at its last sample, because the rest of its path would be one jump.
     fn end_movements(&mut self) -> Result<Result<(), String>, Lost> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
@@ -470,7 +472,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Returns for how long an unsolicited reading of this sensor answers requests.
+    /// Returns how long requests are answered with an unsolicited reading of this sensor.
     pub(super) fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
         let sensor = self.block.device(sensor.as_str());
         let parameters = sensor.and_then(|device| device.available_control_types.sensor());
@@ -496,7 +498,7 @@ impl Worker {
 }
 
 impl Drop for Worker {
-    /// If the driver panics, reports it as permanently away.
+    /// If the driver panics, reports that the hardware is permanently disconnected.
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.mailbox.disconnected();

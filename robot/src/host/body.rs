@@ -1,4 +1,4 @@
-//! A robot on the precise thread, surrounded by hardware or by a simulated world.
+//! A robot that the precise thread runs, with its hardware or its simulated world.
 
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ use crate::robot::{Input, Robot};
 use crate::set_log::LogEntry;
 use crate::simulated::SimulatedRobot;
 
-/// A robot's machine with its surroundings.
+/// A robot's state machine, with its hardware or its simulated world.
 pub(super) enum Body {
-    /// A machine with hardware behind a driver.
+    /// A state machine that controls hardware through a driver.
     Edge(Box<Edge>),
-    /// A machine in a simulated world, which has its own clock, delays and faults. The world's true time is the host's time.
+    /// A state machine in a simulated world, which has its own clock, delays and faults. The true time of this world is the host's time.
     Simulated(Box<SimulatedRobot>),
 }
 
@@ -29,7 +29,7 @@ impl Body {
         }
     }
 
-    /// Returns the robot's machine.
+    /// Returns the robot's state machine.
     pub(super) const fn machine(&self) -> &Robot {
         match self {
             Self::Edge(edge) => edge.machine(),
@@ -37,7 +37,7 @@ impl Body {
         }
     }
 
-    /// Releases the robot if its session is over.
+    /// Makes the robot available to other sessions if the session that owns it is over.
     pub(super) fn look(&mut self, now: Timestamp<HostTime>) {
         match self {
             Self::Edge(edge) => edge.look(now),
@@ -61,7 +61,7 @@ impl Body {
         }
     }
 
-    /// Executes the movements due at or before `now`, without their reports.
+    /// Executes the movements due at or before `now`, but does not send the reports about them yet.
     pub(super) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
         match self {
             Self::Edge(edge) => edge.advance_movements(now),
@@ -85,7 +85,7 @@ impl Body {
         }
     }
 
-    /// Takes the log entries since the last call.
+    /// Removes and returns the log entries that were added since the last call.
     pub(super) fn take_log(&mut self) -> Vec<LogEntry> {
         match self {
             Self::Edge(edge) => edge.take_log(),
@@ -93,7 +93,7 @@ impl Body {
         }
     }
 
-    /// Whether there are log entries.
+    /// Whether there are log entries for [`Body::take_log`] to return.
     pub(super) const fn has_log(&self) -> bool {
         match self {
             Self::Edge(edge) => edge.has_log(),
@@ -101,7 +101,7 @@ impl Body {
         }
     }
 
-    /// Puts the hardware requests into the driver's mailbox, if there is one.
+    /// Hands the pending hardware requests to the driver, if there is one.
     pub(super) fn post(&mut self, clock: &HostClock) {
         if let Self::Edge(edge) = self {
             edge.post(clock);
@@ -115,7 +115,7 @@ impl Body {
         }
     }
 
-    /// Brings hardware to rest because the host ends. A simulated robot stays where it is.
+    /// Brings hardware to rest, because the host is shutting down. A simulated robot stays where it is.
     pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         if let Self::Edge(edge) = self {
             edge.shut_down(now);

@@ -1,4 +1,4 @@
-//! A robot for a host: either with hardware behind a driver, or in a simulated world.
+//! A robot that a host can run: either with hardware behind a driver, or in a simulated world.
 
 use std::io;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
 use crate::tolerance::Tolerance;
 
-/// A driver's thread. It returns an error with the reason why moved devices may not be at rest.
+/// A driver's thread. If devices were moved and may not be at rest, it returns an error with the reason.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
-/// A robot for a host. [`Hosted::driven`] creates one with hardware behind a driver; `into` converts a simulated robot.
+/// A robot that a host can run. [`Hosted::driven`] creates one with hardware behind a driver; `into` converts a simulated robot.
 pub struct Hosted(Surroundings);
 
 type Watch = Box<dyn Fn(&HardwareEvent) + Send>;
@@ -61,7 +61,7 @@ impl Hosted {
         self
     }
 
-    /// Sets the maximum delays of the robot.
+    /// Sets the maximum delays that the robot tolerates, instead of the defaults.
     #[cfg(test)]
     pub(crate) fn tolerating(mut self, limits: Tolerance) -> Self {
         match &mut self.0 {
@@ -82,7 +82,7 @@ impl Hosted {
         }
     }
 
-    /// Starts the driver's thread, if there is a driver. The thread ends once its mailbox is closed.
+    /// Starts the driver's thread, if there is a driver. The thread ends once the mailbox that contains its requests is closed.
     pub(super) fn attach(
         self,
         index: usize,

@@ -1,4 +1,4 @@
-//! Log of the values that are set. A separate thread writes it, so that the precise thread does not wait for a disk.
+//! Log of the values that the robots set. A separate thread writes it, so that the precise thread does not wait for a disk.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -15,7 +15,7 @@ use crate::set_log::LogEntry;
 
 type Batch = (usize, Vec<LogEntry>);
 
-/// The precise thread's end of the channel to the log's writer. Dropping it ends the writer.
+/// The precise thread's end of the channel to the thread that writes the log. Dropping it ends that thread.
 pub(super) struct Log(std_mpsc::Sender<Batch>);
 
 impl Log {
@@ -25,7 +25,7 @@ impl Log {
     }
 }
 
-/// The thread that writes the log, and a receiver for the error if the thread fails before the robots end.
+/// The thread that writes the log, and a receiver for the error if the thread fails while the robots run.
 pub(super) struct Writer {
     pub(super) thread: JoinHandle<()>,
     pub(super) lost: oneshot::Receiver<HostError>,
@@ -54,8 +54,8 @@ struct LogLine<'a> {
     entry: &'a LogEntry,
 }
 
-/// Writes log entries until the precise thread has ended, or until writing fails. Whenever no entry waits, all entries are flushed to the
-/// file, so that a killed process loses little.
+/// Writes log entries until the precise thread has ended, or until writing fails. Whenever no further entry is waiting, the file is
+/// flushed, so that a killed process loses few entries.
 fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<Batch>) -> io::Result<()> {
     let mut file = io::BufWriter::new(file);
     while let Ok(first) = entries.recv() {

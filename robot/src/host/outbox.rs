@@ -1,5 +1,5 @@
-//! A robot's messages that a peer has not taken yet. Their total size is bounded, so that a peer that sends requests and reads no
-//! responses costs little.
+//! Messages from a robot that a peer has not read yet. Their total size is bounded, so that a peer that sends requests but reads no
+//! responses occupies little memory.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,7 +17,7 @@ pub(super) const BYTES_MAX: usize = 1024 * 1024;
 /// Maximum size of the messages that may wait for the peer that owns the robot, in bytes on the wire.
 pub(super) const OWNER_BYTES_MAX: usize = 64 * 1024 * 1024;
 
-/// The robot's end of the channel to a peer. Events are boxed, because a channel reserves memory for 32 of them, and a robot has many
+/// The robot's end of the channel to a peer. Events are boxed, because every channel reserves memory for 32 of them, and a robot has many
 /// peers.
 pub(super) struct Outbox {
     events: mpsc::Sender<Box<LinkEvent>>,
@@ -44,8 +44,8 @@ impl Outbox {
         &self.peer
     }
 
-    /// Sends a message. Returns false if the waiting messages exceed the limit, and the peer must be disconnected. If no message waits, a
-    /// message is accepted however long it is.
+    /// Queues a message for the peer. Returns false if the unread messages exceed the limit; the peer must then be disconnected. If no
+    /// message is unread, a message of any length is accepted.
     pub(super) fn say(&self, message: Message, is_owner: impl FnOnce() -> bool) -> bool {
         let unread = self.unread.load(Ordering::Relaxed);
         let too_much = unread > BYTES_MAX && (unread > OWNER_BYTES_MAX || !is_owner());
@@ -56,7 +56,7 @@ impl Outbox {
         self.events.try_send(Box::new(LinkEvent::Message(message))).is_ok()
     }
 
-    /// Closes the link after the pending messages.
+    /// Closes the link after the peer has received the pending messages.
     pub(super) fn close(&self) {
         let _full_or_gone = self.events.try_send(Box::new(LinkEvent::Closed));
     }

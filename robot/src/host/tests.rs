@@ -1,4 +1,4 @@
-//! Tests robots on the real clock: which events must occur, and in which order. The benchmark measures how precisely they occur.
+//! Tests robots on the real clock: which events must occur, and in which order. A separate benchmark measures how precisely they occur.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": STEPS}}}"#;
 
-/// Returns simulated robots of one arm each, for which nothing is too late, however slow the machine is.
+/// Returns `count` simulated robots, each with one arm. They tolerate delays of an hour, so that the tests pass even on a slow machine.
 pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
     arms_with_steps(count, 4, settings)
 }
@@ -32,10 +32,12 @@ pub(crate) fn arms_with_steps(count: usize, steps: u32, settings: &Settings) -> 
     (0..count).map(robot).collect()
 }
 
-/// Lead of a request in milliseconds that is long enough for its receipt before the start, however busy the machine is.
+/// Time from sending a request to its start, in milliseconds. It is so long that the robot receives the request before the start, however
+/// busy the machine is.
 pub(crate) const LEAD_MS: f64 = 3_000.0;
 
-/// Returns a script 45, 0, 45 that starts `lead_ms` from now. It is a little faster than the one in the paper.
+/// Returns a script that moves the arm to 45, 0 and 45 and starts `lead_ms` from now. It is a little faster than the script in the paper
+/// on the protocol.
 pub(crate) fn paper(lead_ms: f64) -> Message {
     let step = |millis, value| Step {
         offset: Millis::new(millis).unwrap(),
@@ -55,7 +57,7 @@ pub(crate) fn paper(lead_ms: f64) -> Message {
     })
 }
 
-/// A log file that only one test uses; removed when it is dropped.
+/// A log file that only one test uses. The file is deleted when this value is dropped.
 pub(crate) struct LogFile(pub(crate) PathBuf);
 
 impl LogFile {
@@ -243,7 +245,7 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
     assert_eq!(host.refusals().count(Reason::Busy), 3);
 }
 
-/// Returns the proof of an operator with the roles `observe` and `drive`.
+/// Returns the proof of identity of an operator with the roles `observe` and `drive`.
 fn proof(name: &str) -> urrcp::Proof {
     urrcp::Proof {
         name: urrcp::Label::new(name).unwrap(),

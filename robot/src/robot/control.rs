@@ -16,7 +16,7 @@ pub(super) enum Owner {
     Nobody,
     /// The sender's own session.
     Asker,
-    /// Another session. Contains the refusal that reports this to the sender.
+    /// Another session. Contains the error with which the robot refuses the sender's request.
     Another(ControlError),
 }
 
@@ -77,15 +77,16 @@ impl Robot {
         }
     }
 
-    /// Whether a request only reads a sensor. A device that cannot give a reading moves to its default state instead.
+    /// Whether a request only reads a sensor. False if the device is not a sensor, because the request then moves the device to its
+    /// default state.
     fn only_reads(&self, request: &ControlRequest) -> bool {
         let device = self.index_of.get(&request.device_id).map(|index| &self.devices[*index].spec);
         matches!(request.command, Command::ReadSensor)
             && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
-    /// Whether the sender of a request may stop the robot even if it belongs to another session. A stop that names a session affects only
-    /// that session's commands: the mission that lost the robot by a seizure must not stop the mission that has it now.
+    /// Whether the sender of a request may stop a robot that belongs to another session. A stop that names a session affects only the
+    /// commands of that session: after a seizure, the mission that lost the robot must not stop the mission that has it now.
     fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
         let may = || self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop));
         request.is_stop() && request.session.is_none() && may()
@@ -117,8 +118,8 @@ impl Robot {
         Ok(())
     }
 
-    /// Returns the owner of the robot, as seen by this session. The id of another session is secret: with it, anyone could stop the
-    /// robot, renew leases and divert reports.
+    /// Returns the owner of the robot, as seen by this session. The result never reveals the id of another session: with this id, anyone
+    /// could stop the robot, renew leases and divert reports.
     pub(super) fn owner(&self, now: Now, link: LinkId, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         match self.parties.owner(now, idle, &self.heard) {
@@ -255,7 +256,8 @@ fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// Returns the robot's own hash of the command if the request contains a hash to compare, and `None` otherwise.
+/// Compares the hash in the request, if any, with the robot's own hash of the command. Returns the robot's hash, or `None` if the request
+/// contains no hash to compare.
 fn check_hash(
     request: &ControlRequest,
     computed: Option<ContentHash>,

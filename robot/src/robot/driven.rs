@@ -21,8 +21,8 @@ use crate::signal::Signal;
 #[cfg(feature = "host")]
 use crate::tolerance::Tolerance;
 
-/// Minimum notice of a command that must not start while the hardware is silent: with this time between acceptance and start, the
-/// hardware could be pinged.
+/// Minimum time between acceptance and start of a command that must not start while the hardware is silent. This time is long enough to
+/// ping the hardware.
 const NOTICE: Span = Span::from_millis(200);
 
 impl Robot {
@@ -34,8 +34,8 @@ impl Robot {
         robot
     }
 
-    /// Adds the latencies that the robot's driver declares to the initialization block. A spread in the block is kept; devices that the
-    /// driver does not list are unchanged.
+    /// Adds the latencies that the robot's driver declares to the initialization block. A spread of the latency in the block is kept.
+    /// Devices that the driver does not list are unchanged.
     #[cfg(feature = "host")]
     pub(crate) fn declare_latencies(&mut self, declared: &BTreeMap<DeviceId, Duration>) {
         for (id, latency) in declared {
@@ -47,7 +47,7 @@ impl Robot {
         }
     }
 
-    /// Sets the maximum delays of the robot.
+    /// Sets the maximum delays that the robot tolerates.
     #[cfg(feature = "host")]
     pub(crate) fn tolerating(mut self, tolerance: Tolerance) -> Self {
         self.tolerance = tolerance;
@@ -93,8 +93,8 @@ impl Robot {
         out.push(Output::Confirm { ticket, device });
     }
 
-    /// Fails the device's reports that wait for the hardware's confirmation, because it is unknown whether the hardware has taken the
-    /// last value.
+    /// Sends failures instead of those reports about the device that await the hardware's confirmation, because it is unknown whether the
+    /// hardware has taken the last value.
     fn fail_unconfirmed(&mut self, now: Now, index: usize, error: &ControlError, out: &mut Vec<Output>) {
         let given_up = self.unconfirmed.as_mut().map(|unconfirmed| unconfirmed.give_up(index));
         let message = format!("the hardware may not have accepted the last value: {}", error.message);
@@ -117,8 +117,8 @@ impl Robot {
         }
     }
 
-    /// Records that the hardware is connected. Speeds that were driven before are set to zero, because it is unknown whether the hardware
-    /// took their last values. No movement starts.
+    /// Records that the hardware is connected. Sets all speeds that were driven before to zero, because it is unknown whether the
+    /// hardware took their last values. No movement starts.
     pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
         self.hardware.found();
         for index in 0..self.devices.len() {
@@ -133,7 +133,7 @@ impl Robot {
         self.hardware_failed(now, &format!("the hardware is not available: {reason}"), out);
     }
 
-    /// Like [`Robot::hardware_lost`], with a complete sentence as the reason: hardware that refuses a value is not away.
+    /// Like [`Robot::hardware_lost`], but `why` is a complete sentence: the hardware may be connected and refuse a value.
     pub(crate) fn hardware_failed(&mut self, now: Now, why: &str, out: &mut Vec<Output>) {
         self.hardware.lost(why);
         let error = ControlError::new(ErrorCode::Internal, why);
@@ -150,7 +150,7 @@ impl Robot {
     }
 
     /// Checks, before any other work, whether the robot was delayed and, if a start is near, whether the hardware answers. `silence`
-    /// returns for how long the hardware has not answered, if that is too long.
+    /// returns how long the hardware has been silent, or `None` if that is still acceptable.
     pub(crate) fn check_hardware(
         &mut self,
         now: Now,
@@ -184,8 +184,9 @@ impl Robot {
         }
     }
 
-    /// Ends running commands with a step that is overdue by more than `late_max`, as `Failed` with code `late`: the edge was delayed, and
-    /// the remaining steps would be out of sync. The affected devices come to rest.
+    /// Ends running commands with a step that is overdue by more than `late_max`, as `Failed` with code `late`. Such a delay means that
+    /// the edge (the process that drives the hardware) was delayed, and the remaining steps would be out of sync. The affected devices
+    /// come to rest.
     pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {
             let late = self.devices[index].overdue(now).filter(|late| *late > late_max);
@@ -195,8 +196,8 @@ impl Robot {
         }
     }
 
-    /// Records a value that was too late for the hardware and was not set. The device is not where it should be, so its running command
-    /// ends as `Failed` with code `late`, and the device comes to rest.
+    /// Records that a value reached the hardware too late and was not set. Because the device is then not where it should be, its running
+    /// command ends as `Failed` with code `late`, and the device comes to rest.
     pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
         if let Some(&index) = self.index_of.get(device) {
             let why = format!("a value reached the hardware {late} late and was not set");
@@ -212,7 +213,7 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Records the hardware's result of a reading. Ignored if the reading has already expired.
+    /// Records the result of a reading that the hardware was asked for. Ignores the result if the reading has already expired.
     pub fn reading_came(
         &mut self,
         now: Now,
@@ -244,7 +245,8 @@ impl Robot {
         }
     }
 
-    /// Ends all commands and brings every device to rest, because the edge ends. Does nothing if no value was ever set.
+    /// Ends all commands and brings every device to rest, because the robot shuts down. Does nothing if no value was ever set, or if the
+    /// hardware is away.
     pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
         if !self.moved || self.hardware.away().is_some() {
             return;
@@ -285,7 +287,7 @@ impl Robot {
         }
     }
 
-    /// Returns the current signal of a device's control type.
+    /// Returns the current signal of a device for a control type. `None` if there is no such device or signal.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, device: &str, control_type: urrcp::ControlType) -> Option<Signal> {
         self.devices[*self.index_of.get(device)?].signal(control_type)

@@ -102,7 +102,8 @@ impl Robot {
         }
     }
 
-    /// Returns the report about a device. Without hardware that answers, the room for commands is 0.
+    /// Returns the report about a device. If the hardware does not answer, the device reports room for 0 commands. `None` if the device
+    /// does not exist.
     fn device_report(&self, now: Now, id: &DeviceId) -> Option<DeviceReport> {
         let device = &self.devices[*self.index_of.get(id)?];
         let is_missing = self.hardware.missing().is_some();
@@ -113,7 +114,8 @@ impl Robot {
         })
     }
 
-    /// Limits the pending lease of a request, but only if `party` sent the request: the inquiry of this party has just renewed the lease.
+    /// Limits the pending lease of a request (its maximum silence before the start), if `party` sent the request. The inquiry of this
+    /// party has just renewed the lease.
     fn limit(&mut self, id: &RequestId, party: LinkId, limit: Limit) {
         let Some(known) = self.answers.known(id) else { return };
         let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {

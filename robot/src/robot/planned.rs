@@ -10,9 +10,9 @@ use crate::ids::CommandId;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 
 impl Robot {
-    /// Sets the devices whose scripts the driver receives ahead of time and times by itself. Must be called for each connection, before
-    /// [`Robot::hardware_found`]. Such a driver starts scripts by its own clock. The robot therefore no longer declares that it drops
-    /// uncommitted commands.
+    /// Sets the devices whose scripts the driver receives ahead of time and times by itself. Must be called each time the driver
+    /// connects, before [`Robot::hardware_found`]. Such a driver starts scripts by its own clock. The robot therefore no longer declares
+    /// that it acts on `pending_until`, the instant at which it drops a command that has not started.
     pub fn plans_ahead(&mut self, lookahead: &BTreeMap<DeviceId, Lookahead>) {
         for device in &mut self.devices {
             device.lookahead = lookahead.get(&device.spec.id).copied();
@@ -20,7 +20,7 @@ impl Robot {
         self.block.pending_until = lookahead.is_empty();
     }
 
-    /// Adds an accepted command as a plan, if the device's driver times scripts by itself.
+    /// Adds an accepted command to the plans (the scripts that drivers time), if the device's driver times scripts by itself.
     pub(super) fn plan(&mut self, index: usize, command: CommandId) {
         let device = &self.devices[index];
         let (Some(lookahead), Some(held)) = (device.lookahead, device.command(command)) else { return };
@@ -29,8 +29,7 @@ impl Robot {
         self.plans.add(index, told, command, held);
     }
 
-    /// Requests the handover of steps that the driver must receive now. A script whose steps are too late does not start, or does not
-    /// continue.
+    /// Outputs the steps that the driver must receive now. A script whose steps are too late does not start, or does not continue.
     pub(super) fn hand_over(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.to_hand_over(now) {
             let Some(plan) = self.plans.get_mut(id) else { continue };
@@ -44,7 +43,7 @@ impl Robot {
         }
     }
 
-    /// Ends the scripts for which a report of the driver is overdue.
+    /// Ends the scripts for which the driver's report is overdue.
     pub(super) fn give_up_unreported(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.unreported(now) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -109,7 +108,7 @@ impl Robot {
         out.extend(sets);
     }
 
-    /// Records that the driver did not take the part of a script that starts with the step `first`, or received it too late. The command
+    /// Records that the driver refused a part of a script, or received it too late. The part starts with the step `first`. The command
     /// ends with `error`.
     pub fn plan_refused(
         &mut self,
@@ -125,7 +124,7 @@ impl Robot {
         self.fail_plan(now, id, error, out);
     }
 
-    /// Records that the driver has ended a script on request.
+    /// Records that the driver has ended a script because the robot requested this.
     pub fn plan_cancelled(&mut self, now: Now, id: PlanId, out: &mut Vec<Output>) {
         if let Some(Stage::Cancelling(error)) = self.plans.get(id).map(|plan| plan.stage.clone()) {
             if let Some(plan) = self.plans.get_mut(id) {
@@ -148,8 +147,8 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Handles the effects of a device whose driver times scripts by itself. The driver moves the device and ends the scripts; the
-    /// robot's reports wait for the driver's reports.
+    /// Handles what the state machine has decided for a device whose driver times scripts by itself. The driver moves the device and ends
+    /// the scripts. The robot sends its reports only once the driver has reported.
     pub(super) fn plan_effects(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         let mut failed = self.plans.take_failing();
         let (mut rest, mut stopped) = (Vec::new(), false);
@@ -188,8 +187,8 @@ impl Robot {
         self.tell_plans(index);
     }
 
-    /// Returns the device's scripts whose end was due and that the driver has not reported as done. They end because the device is
-    /// stopped.
+    /// Returns the scripts of a stopped device whose end was due, but has not been reported by the driver. Each script has an error,
+    /// which says that it ends because the device is stopped.
     fn left_over(&self, index: usize, failed: &[(PlanId, ControlError)]) -> Vec<(PlanId, ControlError)> {
         let error = || {
             let message = "the device was stopped before its driver reported the end of the script";
@@ -203,7 +202,7 @@ impl Robot {
         self.plans.of_device(index).into_iter().filter(is_left).map(|id| (id, error())).collect()
     }
 
-    /// Ends a script that is over for the machine. If the driver has the script, the driver must end it first.
+    /// Reports a script as failed that the state machine has ended. If the driver has the script, the driver must end it before that.
     fn end_plan(&mut self, now: Now, id: PlanId, error: ControlError, then: Then, out: &mut Vec<Output>) {
         let is_away = self.hardware.away().is_some();
         let Some(plan) = self.plans.get_mut(id) else { return };
@@ -217,7 +216,7 @@ impl Robot {
         }
     }
 
-    /// Ends a device's scripts after the loss of the hardware that was playing them.
+    /// Ends a device's scripts because the hardware that was playing them is lost.
     pub(super) fn abandon_plans(&mut self, now: Now, index: usize, error: &ControlError) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -237,7 +236,7 @@ impl Robot {
         }
     }
 
-    /// Reports starts and ends that the driver has reported and that the machine has reached as well.
+    /// Reports those starts and ends of scripts that the driver has reported and the state machine has reached.
     fn tell_plans(&mut self, index: usize) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -271,7 +270,7 @@ impl Robot {
         self.reports.push((plan.index, began, started));
     }
 
-    /// Reports a failed script. If the driver has reported its start, the start is reported first.
+    /// Reports a script as failed. If the driver has reported the start of the script, the start is reported first.
     fn tell_failed(&mut self, now: Timestamp<urrcp::Robot>, id: PlanId, error: ControlError) {
         self.tell_began(id);
         let Some(plan) = self.plans.remove(id) else { return };
@@ -287,12 +286,13 @@ fn unknown_fate(device: &DeviceId, missing: &str) -> String {
     format!("the result of the script of `{device}` is unknown: its driver {missing}")
 }
 
-/// Whether the motion brings a device to rest. False for the movements of a script.
+/// Whether the motion brings a device to rest or to its default state. False for the movements of a script.
 const fn is_rest(motion: &Motion) -> bool {
     matches!(motion, Motion::Rest(_) | Motion::Default(_) | Motion::Slow { .. })
 }
 
-/// Whether the machine would set a position at which it assumes the device to be. The driver knows this position better.
+/// Whether the motion only holds the position at which the state machine assumes the device to be. The driver knows the actual position
+/// better.
 fn stays(set: &SetValue) -> bool {
     matches!(&set.motion, Motion::Rest(rest) if rest.control_type == ControlType::Position)
 }

@@ -1,4 +1,4 @@
-//! Tests the rules of the robot's side, one per test.
+//! Tests the rules of the protocol that a robot must follow, one rule per test.
 
 mod hardware;
 mod inquiries;
@@ -20,7 +20,7 @@ use crate::device::{Motion, MotionLimits};
 use crate::ids::LinkId;
 
 const LINK: LinkId = LinkId(1);
-/// Start time of all tests, in nanoseconds.
+/// Time on the robot's clock at which every test starts, in nanoseconds.
 const BEGIN: i64 = 1_000_000_000_000;
 
 const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
@@ -36,7 +36,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4}}},
   {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
 
-/// A robot, its current time, and its outputs so far.
+/// A robot under test, its current time, and its outputs so far.
 struct Bench {
     robot: Robot,
     now: Timestamp<urrcp::Robot>,
@@ -49,7 +49,7 @@ impl Bench {
         Self { robot: Robot::new(block), now: Timestamp::from_nanos(BEGIN), out: Vec::new() }
     }
 
-    /// Advances the time to `millis`, from wake-up to wake-up.
+    /// Advances the time to `millis` milliseconds after [`BEGIN`], from wake-up to wake-up.
     fn until(&mut self, millis: i64) {
         let end = at(millis);
         while let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) {

@@ -1,4 +1,4 @@
-//! A robot's description in encoded form: encoded once, and shared by all connections.
+//! A robot's encoded description. It is encoded once, and shared by all connections.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,7 +7,7 @@ use urrcp::{Encoding, InitializationBlock, Message, encode_as};
 /// Number of devices above which a description is encoded on another thread.
 const DEVICES_AT_ONCE: usize = 256;
 
-/// The most recent description in each encoding.
+/// The most recently encoded description, one for each encoding.
 #[derive(Debug, Default)]
 pub(super) struct Described(Mutex<Vec<Written>>);
 
@@ -38,7 +38,7 @@ impl Described {
         written.bytes
     }
 
-    /// Returns the approximate length of an encoded description, in bytes.
+    /// Returns the approximate length of the encoded description in bytes, or 0 if no description has been encoded yet.
     pub(super) fn length(&self) -> usize {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.iter().map(|written| written.bytes.len()).max().unwrap_or(0)

@@ -1,5 +1,5 @@
-//! The connections of a robot: which of them have a place, and which must close for others. Connections of the session that owns the
-//! robot take precedence over strangers. A stop needs no place.
+//! The connections of a robot. A limited number of them have a place, which permits all messages; others wait for a place, or must close.
+//! Connections of the session that owns the robot take precedence over strangers. A stop needs no place.
 #![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,23 +13,24 @@ use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Reason;
 
-/// Maximum number of places for connections that do not own the robot. The robot accepts all messages on a connection with a place.
+/// Maximum number of places for connections that do not own the robot. Only on a connection with a place does the robot accept all
+/// messages.
 pub(super) const PLACES: usize = 16;
 /// Number of additional places for connections of the session that owns the robot.
 pub(super) const OWNER_PLACES: usize = 4;
-/// Maximum number of all connections. On a connection without a place, the robot accepts only stops and some questions; all other
-/// messages wait for a place.
+/// Maximum number of connections. On a connection without a place, the robot accepts only stops and some questions; all other messages
+/// wait for a place.
 pub(super) const CONNECTIONS_MAX: usize = 64;
-/// Maximum number of connections from one remote host that do not own the robot.
+/// Maximum number of connections from one remote host, not counting those of the session that owns the robot.
 const HOST_MAX: usize = 16;
 /// Minimum age of a connection before it may be closed for another one, so that it has time to send a message.
 const YOUNG: Duration = Duration::from_millis(50);
 /// Interval at which a waiting connection tries to get a place.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
-/// Number of attempts to get a place between two checks whether the robot's session is over.
+/// Number of failed attempts to get a place after which the robot checks again whether the session that owns it is over.
 const LOOK_EVERY: u32 = 20;
 
-/// Whether a connection has a place.
+/// Whether a connection has a place, which permits all messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Seat {
     None,
@@ -46,7 +47,7 @@ struct Entry {
     spoke: bool,
     seat: Seat,
     speaks_for: Option<Claimant>,
-    /// Whether the connection was asked to end. It no longer counts as a connection.
+    /// Whether the connection was asked to close. It no longer counts as a connection.
     leaving: bool,
     hang_up: Arc<Notify>,
 }
@@ -97,7 +98,7 @@ impl Places {
         Some(Arc::new(Self { entries, changed, owner, host, robot, silence_max }))
     }
 
-    /// Admits a new connection. If necessary, another connection is closed for it. Returns `None` if none can be closed yet.
+    /// Admits a new connection. If necessary, closes another connection for it. Returns `None` if no other connection can be closed yet.
     pub(super) fn admit(self: &Arc<Self>, peer: &Peer) -> Option<Ticket> {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -150,8 +151,8 @@ impl Places {
         }
     }
 
-    /// Assigns a place to a connection, if one is available for it. `claims` is whether the connection claims the robot. While the robot
-    /// belongs to no session, a connection that claims it takes precedence over connections that do not.
+    /// Assigns a place to a connection, if one is available for it. Returns whether the connection has a place. `claims` is whether the
+    /// connection claims the robot. While the robot belongs to no session, such a connection takes precedence over the others.
     fn try_take(&self, id: u64, claims: bool) -> bool {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -194,13 +195,13 @@ pub(super) struct Ticket {
 }
 
 impl Ticket {
-    /// Waits until another connection needs this one's place.
+    /// Waits until this connection must close because another one needs its place.
     pub(super) fn hung_up(&self) -> impl Future<Output = ()> + use<> {
         let hang_up = Arc::clone(&self.hang_up);
         async move { hang_up.notified().await }
     }
 
-    /// Returns the standing of a connection that named the session `speaks_for` last.
+    /// Returns whether the robot is free, belongs to the session `speaks_for` (which the peer named last), or belongs to another session.
     pub(super) fn standing(&self, speaks_for: Option<&Claimant>) -> Standing {
         match (&*self.places.owner.borrow(), speaks_for) {
             (None, _) => Standing::Free,
@@ -209,14 +210,14 @@ impl Ticket {
         }
     }
 
-    /// Waits until the robot belongs to this claimant, but at most for `patience`.
+    /// Waits until this claimant owns the robot, but at most for `patience`.
     pub(super) async fn await_claim(&self, claimant: &Claimant, patience: Duration) {
         let mut owner = self.places.owner.clone();
         let claimed = owner.wait_for(|owner| owner.as_ref() == Some(claimant));
         let _over = tokio::time::timeout(patience, claimed).await;
     }
 
-    /// Makes the robot check whether its session is over.
+    /// Makes the robot check whether the session that owns it is over.
     pub(super) async fn look(&self) {
         self.places.host.look(self.places.robot).await;
     }
@@ -228,7 +229,7 @@ impl Ticket {
         }
     }
 
-    /// Records that a complete message has arrived, and the session that the peer named last.
+    /// Records that a complete message has arrived. `speaks_for` is the session that the peer named last.
     pub(super) fn spoke(&self, speaks_for: Option<&Claimant>) {
         if let Some(entry) = self.places.lock().get(self.id) {
             entry.heard = Instant::now();
@@ -239,7 +240,7 @@ impl Ticket {
         }
     }
 
-    /// Waits until the connection has a place. `claims` is whether it claims the robot.
+    /// Waits until the connection has a place. `claims` is whether the connection claims the robot.
     pub(super) async fn take(&self, claims: bool) {
         if self.places.try_take(self.id, claims) {
             return;

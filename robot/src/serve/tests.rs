@@ -27,10 +27,11 @@ async fn served(log: &LogFile) -> (Host, SocketAddr) {
     served_as(Host::start(arms(1, &Settings::default()), options).unwrap(), PATIENT).await
 }
 
-/// Time within which the robot decides a claim, however busy the machine is. A line after a refused claim has to wait this long.
+/// Maximum time in which the robot decides on a claim, however busy the machine is. A line that follows a refused claim has to wait this
+/// long.
 const CLAIM_WITHIN: Duration = Duration::from_secs(10);
 
-/// Time limits for tests that do not depend on the robot's time limits.
+/// Generous time limits for tests that do not test the time limits.
 const PATIENT: Patience =
     Patience { silence: PATIENCE, first_message: PATIENCE, message: PATIENCE, claim: CLAIM_WITHIN };
 
@@ -51,7 +52,7 @@ async fn served_as(host: Host, patience: Patience) -> (Host, SocketAddr) {
     (host, address)
 }
 
-/// A server's end of a connection, which reads whole lines.
+/// A server's end of a connection to the robot. It reads whole lines.
 struct Peer(BufReader<TcpStream>);
 
 impl Peer {
@@ -118,7 +119,7 @@ async fn garbage_is_answered_and_the_link_goes_on() {
     assert_eq!(response.status, Status::Ok);
 }
 
-/// A server's end of a connection, which reads messages in any encoding.
+/// A server's end of a connection to the robot. It reads messages in any encoding.
 struct Listener {
     stream: TcpStream,
     decoder: Decoder,
@@ -376,7 +377,7 @@ fn malformed(message: &Message) -> Option<&str> {
     response.error.as_ref().map(|error| error.message.as_str())
 }
 
-/// Number of steps for which the robot's longest script exceeds every line in these tests.
+/// Maximum number of steps of a robot's script. With this number, the longest permitted script exceeds every line in these tests.
 const MANY_STEPS: u32 = 100_000;
 
 #[tokio::test]
@@ -657,7 +658,7 @@ async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
             urrcp::ControlRequest { content_hash: Some(content_hash), request_id, ..request.clone() };
         let mut line = Vec::new();
         encode(&Message::ControlRequest(request), &mut line);
-        // The line is longer than the limit for reading it in the connection's own task.
+        // The line exceeds the limit for reading it in the connection's own task.
         owner.write(&padded(&line, 100 * 1024)).await;
         let Message::ControlResponse(response) = owner.soon().await else { panic!() };
         assert_eq!(response.status, status, "{response:?}");

@@ -1,5 +1,5 @@
-//! The body behind a device of a simulated robot. It follows the values that are set, with a latency and a lag; a sensor shows its
-//! position with noise and a delay. A device without a body is at once where it was commanded.
+//! The body (the simulated moving part) behind a device of a simulated robot. It follows the values that are set, with a latency and a
+//! lag; a sensor shows its position with noise and a delay. A device without a body reaches each commanded value at once.
 
 use std::collections::VecDeque;
 
@@ -9,16 +9,16 @@ use super::True;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
-/// How a body follows its device.
+/// How a body (a simulated moving part) follows its device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moves {
-    /// Device, driven by position, that moves the body.
+    /// Device that moves the body. It is controlled by position.
     pub device: DeviceId,
     /// Time from setting a value to the first motion of the body.
     pub latency: Span,
     /// Spread of the latency: 95 % of all movements start within `latency` ± `spread`.
     pub spread: Span,
-    /// Time constant of the first-order lag with which the body then follows. Zero: no lag.
+    /// Time constant of the first-order lag with which the body follows its target after the latency. Zero: no lag.
     pub time_constant: Span,
     /// Sensor that shows the position of the body.
     pub sensor: DeviceId,
@@ -28,12 +28,12 @@ pub struct Moves {
     pub delay: Span,
 }
 
-/// Maximum number of pending movements of a body. A device with the shortest steps and the longest latency has fewer.
+/// Maximum number of pending movements of a body. Even a device with the shortest steps and the longest latency has fewer.
 const PIECES_MAX: usize = 16_384;
 /// Number of standard deviations within which 95 % of a normal distribution lie.
 const WITHIN_95: f64 = 1.96;
 
-/// A target that the body follows from an instant on: a value, or a movement to a value.
+/// A target that the body follows from a certain instant on: a constant value, or a linear movement to a value.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     begins: Timestamp<True>,
@@ -51,13 +51,13 @@ impl Piece {
         self.from + (self.to - self.from) * (since.as_millis_f64() / self.lasts.as_millis_f64()).max(0.0)
     }
 
-    /// Returns the target's change per millisecond; zero once the movement has arrived.
+    /// Returns the target's change per millisecond; zero once the target has arrived at its final value.
     fn slope(self, now: Timestamp<True>) -> f64 {
         let moves = now - self.begins < self.lasts;
         if moves { (self.to - self.from) / self.lasts.as_millis_f64() } else { 0.0 }
     }
 
-    /// Returns when the target arrives, unless the next piece starts earlier.
+    /// Returns when the target arrives at its final value, unless the next piece starts earlier.
     fn ends(self) -> Timestamp<True> {
         self.begins + self.lasts
     }
@@ -90,7 +90,7 @@ impl MovedBody {
         self.at_first = position;
     }
 
-    /// Adds a movement of the body's device.
+    /// Adds a movement that the body's device was commanded to make.
     pub(super) fn told(&mut self, now: Timestamp<True>, set: &SetValue) {
         let (control_type, from, to, lasts) = match &set.motion {
             Motion::Set(setpoint) | Motion::Rest(setpoint) | Motion::Default(setpoint) => {
@@ -130,7 +130,7 @@ impl MovedBody {
         }
     }
 
-    /// Returns the position of the body at `now`; `rest` if no value was ever set.
+    /// Returns the position of the body at `now`, or `rest` if no value was ever set.
     fn position(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let (mut then, mut position) = self.at.unwrap_or((now, rest));
         loop {
@@ -154,8 +154,8 @@ impl MovedBody {
         position
     }
 
-    /// Returns the position at `to` of a body that follows a linear target with a first-order lag. This is `u(t) - slope * T`, plus the
-    /// remaining distance to that line, which decays exponentially.
+    /// Returns the position at `to` of a body that follows a linear target with a first-order lag. This is the target minus slope × time
+    /// constant, plus the remaining distance to that line, which decays exponentially.
     fn followed(&self, piece: Piece, position: f64, from: Timestamp<True>, to: Timestamp<True>) -> f64 {
         let constant = self.moves.time_constant.as_millis_f64();
         if constant <= 0.0 {
@@ -167,7 +167,7 @@ impl MovedBody {
         begin - behind + left * (-(to - from).as_millis_f64() / constant).exp()
     }
 
-    /// Returns the reading of the body's sensor. If no value was ever set, the body is at `rest`.
+    /// Returns the reading of the body's sensor at `now`. If no value was ever set, the body is at `rest`.
     pub(super) fn shown(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let position = self.position(now, rest);
         let noise = self.moves.noise * normal(&mut self.rng);

@@ -18,7 +18,8 @@ fn id(name: &str) -> DeviceId {
     DeviceId::new(name).unwrap()
 }
 
-/// Returns an arm with a body and with its angle as a sensor. At 0, the arm is commanded to move to 10 within 100 ms.
+/// Returns a robot with an arm that has a body, and with a sensor for the arm's angle. At time 0, the arm is commanded to move to 10
+/// within 100 ms.
 fn moving(interpolation: &str, change: impl FnOnce(&mut Moves)) -> SimulatedRobot {
     let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
         {"id": "arm", "interpolation": "INTERPOLATION", "default_value": 0, "available_control_types": {

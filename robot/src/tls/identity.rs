@@ -40,7 +40,7 @@ pub enum IdentityError {
     /// The bytes are not a certificate.
     #[error("not an X.509 certificate")]
     NotACertificate,
-    /// Not exactly one URI names a robot or an operator. Contains the number of such URIs.
+    /// The number of URIs that name a robot or an operator is not 1. Contains this number.
     #[error(
         "the certificate has {0} names that begin with `urrcp:robot:` or `urrcp:operator:`, expected one"
     )]
@@ -102,7 +102,7 @@ impl Identity {
         }
     }
 
-    /// Returns the identity in the form in which links use it. `None` if the name is too long for the protocol.
+    /// Returns the identity as a proof, the form in which links to robots use it. `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(self.name.to_string()).ok()?;

@@ -30,7 +30,7 @@ pub enum NetworkError {
         /// The error that Zenoh reports.
         why: String,
     },
-    /// The system could not create a thread, with its error.
+    /// The system could not create a thread. Contains the system's error.
     #[error("cannot start a thread for Zenoh: {0}")]
     Thread(io::Error),
 }
@@ -41,7 +41,7 @@ impl NetworkError {
     }
 }
 
-/// Removes the locations in Zenoh's source code from an error message of Zenoh.
+/// Removes the positions in Zenoh's source code from one of Zenoh's error messages.
 fn without_places(error: &str) -> String {
     let place_of = |part: &str| part.rfind(" at ").filter(|at| part[*at..].contains(".rs:"));
     let causes = error.split(" - Caused by ");
@@ -79,7 +79,7 @@ pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     named.find(|endpoint| is_open(endpoint))
 }
 
-/// Whether a process may open several sessions with this configuration. This requires that it only connects, and sets no id.
+/// Whether a process may open several sessions with this configuration. This is so if the configuration only connects, and sets no id.
 pub(super) fn may_be_joined_again(config: &Config) -> bool {
     let said = |key: &str| config.get_json(key).unwrap_or_default();
     said("mode") == "\"client\"" && matches!(said("id").as_str(), "" | "null")
@@ -95,8 +95,8 @@ fn is_open(endpoint: &str) -> bool {
     !is_here && !matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe" | "serial" | "vsock")
 }
 
-/// Disables multicast unless the configuration enables it. Without multicast, Zenoh finds only the members that are named, and joins no
-/// unknown network.
+/// Disables multicast, unless the configuration enables it. Without multicast, Zenoh finds only the members that the configuration names,
+/// and joins no unknown network.
 fn quiet(mut config: Config) -> Result<Config, String> {
     const ENABLED: &str = "scouting/multicast/enabled";
     let said = config.get_json(ENABLED).map_err(|error| error.to_string())?;

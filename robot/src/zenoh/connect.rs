@@ -1,4 +1,4 @@
-//! The side of a connection that connects to a robot.
+//! The scheduler's side of a connection, which connects to a robot.
 
 use std::any::Any;
 use std::io;
@@ -15,20 +15,20 @@ use super::network::{Network, Urgency};
 use super::offers::Offers;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// Time limit for the robot's answer to the request for a connection.
+/// Time limit for the robot's answer to the request that opens a connection.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
 /// Connects to the robot at a key.
 ///
 /// # Errors
-/// No robot is at the key, several robots are, or the network does not carry messages.
+/// There is no robot at the key, there are several, or the network does not carry messages.
 pub async fn connect(network: &Network, key: &Key, haste: Urgency) -> io::Result<Stream> {
     open(network, key, (haste, &[])).await
 }
 
 /// Like [`connect`], for a connection that may refer to texts which are published once for several robots ([`Stream::offer`]). It may do
-/// so only if the robot at the key receives them. `audiences` are the audiences to which the robot belongs, as numbers in this session;
-/// at most [`AUDIENCES_MAX`](super::AUDIENCES_MAX).
+/// so only if the robot at the key receives such texts. `audiences` are the groups to which the robot belongs, as numbers in this
+/// session; at most [`AUDIENCES_MAX`](super::AUDIENCES_MAX).
 ///
 /// # Errors
 /// Those of [`connect`].
@@ -92,7 +92,7 @@ struct Opening {
 
 /// The resources of a connection that has been opened.
 struct Opened {
-    /// Declarations that must exist as long as the connection.
+    /// Zenoh declarations, which must exist as long as the connection.
     kept: Box<dyn Any + Send>,
     offers: Option<Arc<Offers>>,
 }
@@ -101,7 +101,7 @@ struct Opened {
 type Robot = (String, bool);
 
 impl Opening {
-    /// Declares the resources of the connection, and then requests the connection from the robot.
+    /// Declares the Zenoh resources of the connection, and then asks the robot to open it.
     fn open(
         self,
         session: &Session,

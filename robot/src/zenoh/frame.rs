@@ -1,26 +1,26 @@
-//! The content of one publication: a sequence number, the number of bytes that its sender has read, and bytes of the stream. Some of
-//! these bytes may be a reference to an earlier publication.
+//! A frame, the content of one publication: a sequence number, the number of bytes that its sender has read, and bytes of the stream. A
+//! frame may replace some bytes by a reference to an earlier publication.
 
 use urrcp::ContentHash;
 
-/// What the receiver must expect after a frame.
+/// What the receiver of a frame must expect after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     /// More frames may follow.
     More,
     /// No more frames follow: the sender has closed its direction.
     End,
-    /// No more frames follow: the sender has lost a part of the connection, and no longer reads either.
+    /// No more frames follow: the connection of the sender has broken, and the sender no longer reads either.
     Broken,
-    /// Like `Broken`, because the sender did not receive a text to which a frame referred.
+    /// Like `Broken`, because the sender did not receive a text (a separate publication) to which a frame referred.
     Lacking,
 }
 
-/// Size in bytes of the header before the content: kind, number, and number of bytes read.
+/// Size in bytes of the header before the content: the kind, the sequence number, and the number of bytes read.
 const HEADER: usize = 17;
-/// Kind of a frame that contains a part of a text. More frames may follow.
+/// Kind of a frame that refers to a part of a separately published text. More frames may follow.
 const WITH_PART: u8 = 3;
-/// Size in bytes of the description of a part, which follows the header: a hash and three numbers.
+/// Size in bytes of the reference to a part of a text, which follows the header: a hash and three numbers.
 const PART: usize = 44;
 
 /// A reference to bytes of a text that was published separately.
@@ -30,7 +30,7 @@ pub(super) struct Part {
     pub(super) text: ContentHash,
     /// Number of bytes of the text that precede the part.
     pub(super) from: u32,
-    /// Number of bytes in the part; never 0.
+    /// Number of bytes in the part; at least 1.
     pub(super) count: u32,
     /// Number of bytes of the frame's content that precede the part.
     pub(super) at: u32,
@@ -44,9 +44,10 @@ pub(super) struct Frame<'a> {
     /// Total number of bytes that the sender has read from this connection.
     pub(super) read: u64,
     pub(super) next: Next,
-    /// The part of a text that the frame inserts. Only permitted if more frames may follow.
+    /// The part of a separately published text that is inserted into the content. Only permitted if more frames may follow. `None`: no
+    /// text is inserted.
     pub(super) part: Option<Part>,
-    /// The next bytes of the stream, without the bytes of the part.
+    /// The next bytes of the stream, except those of the part.
     pub(super) content: &'a [u8],
 }
 

@@ -1,5 +1,5 @@
-//! The robot's side of texts that are published once for several robots: the texts that this process receives or requests from one
-//! scheduler.
+//! Receives texts that one scheduler publishes once for several robots, on behalf of the robots of this process. Requests texts that did
+//! not arrive.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,18 +16,18 @@ use super::network::{Call, Kept, Network, Urgency};
 use super::stream::Shared;
 use super::texts::{Supply, TEXT_MAX, Texts};
 
-/// Time limit for a scheduler's answer to a request for a text.
+/// Time limit for a scheduler's answer to a robot's request for a published text.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Maximum number of a scheduler's audiences to which the robots of this process may belong.
+/// Maximum number of a scheduler's audiences (groups of robots) to which the robots of this process may belong.
 const SUBSCRIBERS_MAX: usize = 4_096;
 
-/// The texts of one scheduler's session. Exists as long as a connection needs the texts.
+/// The texts that one scheduler's session publishes for several robots. Exists as long as a connection needs the texts.
 pub(super) struct Hearing {
-    /// Key at which the scheduler answers requests for texts.
+    /// Key at which the scheduler answers requests for published texts.
     key: String,
     texts: Mutex<Texts>,
-    /// One subscriber per audience. Dropping the `Hearing` undeclares them.
+    /// One subscriber for each audience (a group of robots). Dropping the `Hearing` undeclares the subscribers.
     subscribers: Mutex<HashMap<Audience, Kept>>,
     declaring: flume::Sender<Call>,
 }
@@ -41,7 +41,7 @@ impl Hearing {
         self.texts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Subscribes to the texts that are published for these audiences.
+    /// Subscribes to the texts that are published for these audiences (groups of robots).
     pub(super) fn begin(self: &Arc<Self>, session: &Session, audiences: &[Audience]) -> ::zenoh::Result<()> {
         let mut subscribers = self.subscribers.lock().unwrap_or_else(PoisonError::into_inner);
         for audience in audiences {
@@ -73,7 +73,8 @@ impl Hearing {
         }
     }
 
-    /// Fills in a text that a connection needs, at once or when the text arrives. If the text does not arrive, the connection is broken.
+    /// Supplies a connection with a published text that it needs, at once or when the text arrives. If the text does not arrive, the
+    /// connection breaks.
     pub(super) fn supply(self: &Arc<Self>, hash: ContentHash, pipe: &Shared, network: &Network) {
         if self.texts().supply(hash, pipe) != Supply::Ask {
             return;
@@ -111,7 +112,7 @@ impl Drop for Hearing {
     }
 }
 
-/// A request for a text. Zenoh drops it when all answers have arrived, or when its time limit expires.
+/// A request for a published text. Zenoh drops it when all answers have arrived, or when its time limit expires.
 struct Asking {
     hearing: Weak<Hearing>,
     hash: ContentHash,

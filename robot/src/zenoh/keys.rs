@@ -9,7 +9,7 @@ use ::zenoh::bytes::ZBytes;
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Key(String);
 
-/// Error for a text that cannot be a robot's key.
+/// Error: a string cannot be a robot's key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a Zenoh key without wildcards, such as hall-2/arm-1")]
 pub struct NoKey;
@@ -36,19 +36,20 @@ impl Key {
         format!("{}/open", self.0)
     }
 
-    /// Returns the key of the liveliness token of a robot's session. With `*` as the session, matches the tokens of all sessions at this
-    /// robot's key.
+    /// Returns the key of the liveliness token of a robot's session. With `*` as the session, the key matches the tokens of all sessions
+    /// at this robot's key.
     pub(super) fn robot(&self, session: &str) -> String {
         format!("{}/robot/{session}", self.0)
     }
 
-    /// Returns a key that matches the liveliness tokens of this robot and of all robots in the same place.
+    /// Returns a key that matches the liveliness tokens of this robot and of all robots in the same place (with the same key except for
+    /// the last chunk).
     pub(super) fn robots_beside(&self) -> String {
         self.beside("*/robot/*")
     }
 
-    /// Returns the key of the liveliness token of a scheduler's session for the robots in this place. With `*` as the session, matches
-    /// the tokens of all sessions.
+    /// Returns the key of the liveliness token of a scheduler's session for the robots in this place. With `*` as the session, the key
+    /// matches the tokens of all sessions.
     pub(super) fn scheduler(&self, session: &str) -> String {
         self.beside(&format!("scheduler/{session}"))
     }
@@ -61,8 +62,8 @@ impl Key {
         format!("{}/from/{session}", self.0)
     }
 
-    /// Returns the place that the robot shares with others: its key without the last chunk. An empty string if the key has only one
-    /// chunk.
+    /// Returns the place that the robot shares with others: its key without the last chunk. Returns an empty string if the key has only
+    /// one chunk.
     #[must_use]
     pub fn place(&self) -> &str {
         self.0.rsplit_once('/').map_or("", |(place, _)| place)
@@ -82,7 +83,7 @@ impl Key {
     }
 }
 
-/// Identifies a connection by the session that has opened it and a number in this session. It is attached to every frame.
+/// Identifies a connection by the session that has opened it and a number in this session. The id is attached to every frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct LinkId {
     session: u128,
@@ -125,27 +126,28 @@ impl FromStr for LinkId {
     }
 }
 
-/// Returns the key of the robot to which a liveliness token belongs.
+/// Returns the key of the robot to which a liveliness token belongs. `None` if the token does not belong to a robot.
 pub(super) fn robot_of(token: &str) -> Option<&str> {
     token.rsplit_once('/')?.0.strip_suffix("/robot")
 }
 
-/// Attachment to the answer of a robot that receives texts published for several robots.
+/// Attachment to the answer of a robot that receives the texts that are published for several robots.
 pub(super) const HEARS: &str = "shared-1";
 
-/// Number of a group of robots that receive the same publications, in the scheduler's session.
+/// Number of an audience: a group of robots that receive the same publications. The number is unique in the scheduler's session.
 pub(super) type Audience = u32;
 
-/// Maximum number of audiences to which one robot may belong.
+/// Maximum number of audiences (groups of robots that receive the same publications) to which one robot may belong.
 pub const AUDIENCES_MAX: usize = 32;
 
-/// Returns the attachment to the query that opens a connection to a robot. It contains the robot's audiences; `None` if it has none.
+/// Returns the attachment to the query that opens a connection to a robot. It lists the robot's audiences. `None` if the robot has none.
 pub(super) fn asks_to_hear(audiences: &[Audience]) -> Option<String> {
     let numbers = || audiences.iter().map(|audience| format!(" {audience}"));
     (!audiences.is_empty()).then(|| HEARS.to_owned() + &numbers().collect::<String>())
 }
 
-/// Returns the audiences that an attachment contains. An empty list if the attachment is something else.
+/// Returns the audiences that an attachment lists. Returns an empty list if the attachment contains anything else, or more than
+/// [`AUDIENCES_MAX`] audiences.
 pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     let text = attachment.map(|attached| String::from_utf8_lossy(&attached.to_bytes()).into_owned());
     let numbers = text.as_deref().and_then(|text| text.strip_prefix(HEARS)?.strip_prefix(' '));
@@ -154,12 +156,12 @@ pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     if audiences.len() <= AUDIENCES_MAX { audiences } else { Vec::new() }
 }
 
-/// Whether the attachment to a robot's answer shows that the robot receives published texts.
+/// Whether the attachment to a robot's answer shows that the robot receives texts that are published for several robots.
 pub(super) fn hears(attachment: Option<&ZBytes>) -> bool {
     attachment.is_some_and(|attached| *attached.to_bytes() == *HEARS.as_bytes())
 }
 
-/// Word after the name of a connection, separated by a space, if the connection is opened for stops.
+/// Word in the query that opens a connection, if the connection is opened for stops. It follows the name of the connection and a space.
 pub(super) const STOPS: &str = "stop";
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The robot's side of connections, which accepts them.
+//! The robot's side of a connection, which accepts it.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,10 +16,11 @@ use super::network::{Kept, Network, Urgency};
 use super::presence::Following;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// Maximum number of opened connections that the robot has not accepted yet. Further requests for a connection are not answered.
+/// Maximum number of opened connections that the robot has not accepted yet. If there are more, requests to open a connection are not
+/// answered.
 const WAITING_MAX: usize = 64;
 
-/// The presence of a robot in a Zenoh network. Dropping it makes the robot unreachable there; existing connections remain.
+/// A robot that is reachable in a Zenoh network. Dropping the listener makes the robot unreachable; existing connections remain.
 #[derive(Debug)]
 pub struct Listener {
     key: Key,
@@ -32,7 +33,7 @@ impl Listener {
     /// Makes the robot reachable at a key.
     ///
     /// # Errors
-    /// Another robot is already at the key, or the network does not carry messages.
+    /// Another robot already uses the key, or the network does not carry messages.
     pub async fn bind(network: &Network, key: Key) -> io::Result<Self> {
         let (told, declared) = oneshot::channel();
         let (accept, opened) = mpsc::channel(WAITING_MAX);
@@ -79,7 +80,7 @@ fn ended() -> io::Error {
     io::Error::other("the Zenoh session has ended")
 }
 
-/// Whether a robot of another session is already at this key.
+/// Whether a robot that belongs to another Zenoh session already uses this key.
 async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     let (found, mut tokens) = mpsc::unbounded_channel();
     let (told, asked) = oneshot::channel();
@@ -108,7 +109,7 @@ struct Inner {
 #[derive(Clone)]
 struct Open {
     pipe: Shared,
-    /// Texts that the scheduler publishes for several robots. `None` if it publishes none.
+    /// Texts that the scheduler publishes for several robots. `None` if the connection does not use any.
     hearing: Option<Arc<Hearing>>,
 }
 
@@ -118,7 +119,8 @@ impl Inner {
     }
 }
 
-/// Entry of a connection in the list. Dropping it removes the connection, which has ended.
+/// Entry of a connection in the robot's list. When the connection ends, this value is dropped, which removes the connection from the
+/// list.
 struct Listed {
     link: LinkId,
     links: Weak<Inner>,
@@ -201,7 +203,7 @@ impl Links {
     }
 }
 
-/// The pending answer to a peer that opens a connection.
+/// The answer to a peer that opens a connection. It has not been sent yet.
 struct Answer {
     query: Query,
     robot: String,

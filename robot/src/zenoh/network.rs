@@ -1,5 +1,5 @@
-//! A Zenoh session of a process. Zenoh blocks if its queues are full, so separate threads send: one for urgent messages, which no other
-//! message delays, and one for other frames. A third thread opens and closes connections: a declaration takes longer the more robots
+//! A Zenoh session of a process. Zenoh blocks if its queues are full, so separate threads send: one sends urgent messages, which no other
+//! message delays, and one sends other frames. A third thread opens and closes connections: each declaration takes longer the more robots
 //! there are, and frames must not wait for it.
 
 use std::any::Any;
@@ -30,7 +30,7 @@ pub enum Urgency {
     /// Normal priority.
     #[default]
     None,
-    /// Precedence over all other messages at every router, for stops.
+    /// Precedence over all other messages at every router. Used for stops.
     Stop,
 }
 
@@ -45,26 +45,26 @@ impl Urgency {
 
 pub(super) type Call = Box<dyn FnOnce(&Session) + Send>;
 
-/// Zenoh objects that are undeclared when they are dropped. Behind a lock, because threads may not share them.
+/// Zenoh objects that are undeclared when they are dropped. They are wrapped in a lock if threads may not share them.
 pub(super) type Kept = Box<dyn Any + Send + Sync>;
 
-/// Access to a Zenoh network. Clones share a session, which ends when the last of them is dropped.
+/// Access to a Zenoh network. Clones share one session, which ends when the last clone is dropped.
 #[derive(Clone)]
 pub struct Network(Arc<Inner>);
 
-/// Limits the number of connections that are being opened at the same time; others wait. If thousands were opened at once, each would
-/// exceed its time limit of two seconds. Messages on open connections would wait behind them at the routers.
+/// Limits the number of connections that are being opened at the same time; further ones wait. If thousands were opened at once, each
+/// would exceed its time limit of two seconds, and messages on open connections would wait behind them at the routers.
 #[derive(Debug)]
 pub(super) struct Opening {
     calm: Semaphore,
-    /// Permits for connections for stops, which do not wait for other connections.
+    /// Permits for connections that are opened for stops. They do not wait for other connections.
     hasty: Semaphore,
 }
 
 /// Maximum number of connections that are being opened at the same time.
 pub(super) const OPENING_MAX: usize = 64;
-/// Maximum number of connections for stops that are being opened at the same time. Most of them are opened in advance, and they take
-/// precedence over all others.
+/// Maximum number of connections for stops that are being opened at the same time. Most connections for stops are opened in advance, and
+/// they take precedence over all others.
 const STOPS_OPENING_MAX: usize = 32;
 
 impl Default for Opening {
@@ -82,16 +82,16 @@ struct Inner {
     connections: AtomicU64,
     /// Liveliness tokens of other sessions.
     tokens: Tokens,
-    /// Declarations that last as long as the session, by key.
+    /// Declarations that last as long as the session, by their keys.
     lasting: Mutex<HashMap<String, Kept>>,
-    /// This session's publications for several robots, by key.
+    /// What this session publishes for several robots at once, by key.
     offers: Mutex<HashMap<String, Arc<Offers>>>,
-    /// This session's subscriptions to schedulers' publications for several robots, by key.
+    /// This session's subscriptions to what schedulers publish for several robots at once, by key.
     hearings: Mutex<HashMap<String, Weak<Hearing>>>,
 }
 
-/// Maximum number of schedulers' sessions per place whose publications for several robots this session receives. Further sessions send
-/// complete messages.
+/// Maximum number of schedulers' sessions in one place (the robots' common key prefix) whose texts for several robots this session
+/// receives. Further sessions of schedulers send complete messages instead.
 pub(super) const HEARINGS_MAX: usize = 16;
 
 impl Drop for Inner {
@@ -110,15 +110,15 @@ impl fmt::Debug for Network {
 
 impl Network {
     /// Joins the network that a Zenoh configuration file describes. The session searches for other members by multicast only if the file
-    /// enables that.
+    /// enables this.
     ///
     /// # Errors
-    /// [`NetworkError`] if the file cannot be used, or none of its routers answers.
+    /// [`NetworkError`] if the file cannot be used, or if none of its routers answers.
     pub fn open(file: &Path) -> Result<Self, NetworkError> {
         Self::with(config::read(file)?, &file.display().to_string(), Arc::default())
     }
 
-    /// Like [`Network::open`], with the configuration as a JSON5 text.
+    /// Like [`Network::open`], but takes the configuration as a JSON5 text.
     ///
     /// # Errors
     /// Those of [`Network::open`].
@@ -183,12 +183,12 @@ impl Network {
         LinkId::new(self.id(), number).ok_or_else(|| io::Error::other("unexpected id of the Zenoh session"))
     }
 
-    /// Returns the observed liveliness tokens of other sessions.
+    /// Returns the liveliness tokens of other sessions that this session observes.
     pub(super) fn tokens(&self) -> &Tokens {
         &self.0.tokens
     }
 
-    /// Observes the liveliness tokens at these keys as long as the session lasts.
+    /// Observes the liveliness tokens at these keys until the session ends.
     pub(super) fn watch(&self, session: &Session, keys: String) -> ::zenoh::Result<()> {
         self.once(keys, |keys| {
             let tokens = self.tokens().clone();
@@ -197,13 +197,13 @@ impl Network {
         })
     }
 
-    /// Declares a liveliness token of this session, which lasts as long as the session.
+    /// Declares a liveliness token of this session, which exists until the session ends.
     pub(super) fn show(&self, session: &Session, token: String) -> ::zenoh::Result<()> {
         self.once(token, |token| Ok(Box::new(Mutex::new(session.liveliness().declare_token(token).wait()?))))
     }
 
-    /// Returns this session's publications for several robots in the place of the robot at `key`. Creates them at the first call, and
-    /// answers robots' requests for their texts.
+    /// Returns what this session publishes for several robots in the place of the robot at `key`. The first call creates this, and starts
+    /// to answer robots' requests for published texts.
     pub(super) fn offers(&self, session: &Session, key: &Key) -> ::zenoh::Result<Arc<Offers>> {
         let key = key.shared(self.id());
         let mut all = self.0.offers.lock().unwrap_or_else(PoisonError::into_inner);
@@ -221,8 +221,8 @@ impl Network {
         Ok(offers)
     }
 
-    /// Returns this session's subscription to a scheduler's publications for several robots. `None` if the session already has
-    /// [`HEARINGS_MAX`] subscriptions in that place.
+    /// Returns this session's subscription to what a scheduler publishes for several robots. `None` if the session already has
+    /// [`HEARINGS_MAX`] subscriptions in this place.
     pub(super) fn hearing(&self, key: String) -> Option<Arc<Hearing>> {
         let mut all = self.0.hearings.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = all.get(&key).and_then(Weak::upgrade) {
@@ -251,7 +251,8 @@ impl Network {
         Ok(())
     }
 
-    /// Executes a slow declaration, or the end of one, on the session's thread for declarations.
+    /// Executes a slow call: a declaration, or the end of one. A separate thread of the session executes it, or, if it is urgent, the
+    /// thread for urgent messages.
     pub(super) fn declare(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Urgency::None => &self.0.declaring,
@@ -261,7 +262,7 @@ impl Network {
         let _ended = calls.send(Box::new(call));
     }
 
-    /// Executes a call on the session after the earlier calls of the same urgency.
+    /// Executes a call on the session, after all earlier calls of the same urgency.
     pub(super) fn call(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Urgency::None => &self.0.calm,
@@ -271,13 +272,13 @@ impl Network {
         let _ended = calls.send(Box::new(call));
     }
 
-    /// Ends the session at once, as if its process had ended, for a test.
+    /// Ends the session at once, as if its process had ended. Only for tests.
     #[cfg(test)]
     pub(super) fn cut(&self) {
         self.call(Urgency::None, |session| session.close().wait().unwrap_or_default());
     }
 
-    /// Publishes a frame of a connection. If this fails, the connection is broken.
+    /// Publishes a frame of a connection. If this fails, the connection breaks.
     pub(super) fn publish(
         &self,
         haste: Urgency,
@@ -296,7 +297,7 @@ impl Network {
     }
 }
 
-/// Starts a thread that executes calls on a session until all senders of calls are dropped.
+/// Starts a thread that executes calls on a session. It runs until all senders of calls are dropped.
 fn speak(
     name: &str,
     session: impl FnOnce() -> Option<Session> + Send + 'static,

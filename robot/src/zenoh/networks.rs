@@ -1,4 +1,4 @@
-//! Several sessions in one network, which share its robots.
+//! Several sessions in one Zenoh network, among which a process distributes its robots.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,12 +9,12 @@ use super::config::{self, NetworkError};
 use super::network::{Network, Opening};
 
 /// Maximum number of robots that one session connects to or makes reachable. For each declaration, Zenoh searches all earlier
-/// declarations of the session: with one session, 3,000 robots took a scheduler 17 s of processor time; with 250 robots per session, 3.5
-/// s.
+/// declarations of the session. For 3,000 robots, a scheduler took 17 s of processor time with one session, and 3.5 s with 250 robots per
+/// session.
 const ROBOTS_A_SESSION: usize = 250;
 
-/// Access to a Zenoh network for any number of robots, which are distributed among sessions. Clones share these sessions. A session ends
-/// when the last handle to it is dropped.
+/// Access to a Zenoh network for any number of robots, which are distributed among several sessions. Clones share these sessions. A
+/// session ends when its last handle is dropped.
 #[derive(Clone, Debug)]
 pub struct Networks(Arc<Inner>);
 
@@ -26,26 +26,26 @@ struct Inner {
     last: Mutex<Last>,
 }
 
-/// The session that is assigned to the next robot.
+/// The session to which the next robot is assigned.
 #[derive(Debug)]
 struct Last {
     network: Network,
     robots: usize,
-    /// Maximum number of robots of this session.
+    /// Maximum number of robots that may share this session.
     robots_max: usize,
 }
 
 impl Networks {
-    /// Joins the network that a Zenoh configuration file describes. A session searches for other members by multicast only if the file
-    /// enables that.
+    /// Joins the network that a Zenoh configuration file describes. Its sessions search for other members by multicast only if the file
+    /// enables this.
     ///
     /// # Errors
-    /// [`NetworkError`] if the file cannot be used, or none of its routers answers.
+    /// [`NetworkError`] if the file cannot be used, or if none of its routers answers.
     pub fn open(file: &Path) -> Result<Self, NetworkError> {
         Self::with(config::read(file)?, file.display().to_string(), ROBOTS_A_SESSION)
     }
 
-    /// Like [`Networks::open`], with the configuration as a JSON5 text.
+    /// Like [`Networks::open`], but takes the configuration as a JSON5 text.
     ///
     /// # Errors
     /// Those of [`Networks::open`].
@@ -66,8 +66,8 @@ impl Networks {
         Ok(Self(Arc::new(Inner { config, named, opening, last })))
     }
 
-    /// Returns the session for one more robot. If the configuration permits only one session, because it listens or sets an id, this is
-    /// always the same session. If no further session can be opened, all later robots share the last session.
+    /// Returns the session to use for one more robot. If the configuration permits only one session, because it listens or sets an id,
+    /// this is always the same session. If no further session can be opened, all later robots share the last session.
     #[must_use]
     pub fn for_one_more(&self) -> Network {
         let Inner { config, named, opening, last } = &*self.0;

@@ -1,5 +1,5 @@
-//! The scheduler's side of texts that are published once for several robots: the publications in one place, and the answers to robots'
-//! requests for texts.
+//! Publishes texts once for several robots, on behalf of a scheduler: the publications for the robots of one place, and the answers to
+//! their requests for texts.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -17,7 +17,7 @@ use super::network::{Call, Network, Urgency};
 use super::stream::Target;
 use super::texts::{Kept, TEXT_MAX};
 
-/// A text that was published in the place of a robot. A frame to the robot refers to the text instead of containing its bytes.
+/// A text that was published for several robots. A frame to one of these robots refers to the text instead of containing its bytes.
 #[derive(Clone, Debug)]
 pub struct Text {
     pub(super) hash: ContentHash,
@@ -49,7 +49,7 @@ impl Text {
         &self.bytes
     }
 
-    /// Returns the bytes from `from` to the end of the text as a part. A frame inserts the part after `at` bytes of its content.
+    /// Returns a reference to the bytes of the text from `from` to its end. A frame inserts these bytes after `at` bytes of its content.
     pub(super) fn part(&self, from: usize, at: usize) -> io::Result<Part> {
         let small = |size: usize| u32::try_from(size).map_err(io::Error::other);
         let count = small(self.len().saturating_sub(from))?;
@@ -57,10 +57,10 @@ impl Text {
     }
 }
 
-/// One session's publications for the robots of one place.
+/// The texts that one session publishes for the robots of one place (robots whose keys differ only in the last chunk).
 #[derive(Debug)]
 pub(super) struct Offers {
-    /// Key at which requests are answered. Texts are published below it.
+    /// Key at which the session answers requests for texts. It publishes the texts at keys below this one.
     key: String,
     offered: Mutex<Offered>,
 }
@@ -68,11 +68,11 @@ pub(super) struct Offers {
 #[derive(Debug, Default)]
 struct Offered {
     kept: Kept,
-    /// Keys of publications, by audience.
+    /// Keys at which texts are published, by audience (a group of robots).
     targets: HashMap<Audience, Arc<Target>>,
-    /// Hashes of texts that were found to be too long.
+    /// Hashes of texts that cannot be published, because they are too long.
     too_long: HashSet<ContentHash>,
-    /// Keys of robots that did not receive a publication, even on request.
+    /// Keys of robots that did not receive a published text, even on request.
     without: HashSet<String>,
 }
 
@@ -96,7 +96,7 @@ impl Offers {
         self.offered.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the text with this hash. Publishes it first for the audience, unless this session has published it before and still keeps
+    /// Returns the text with this hash. Publishes it first for the audience, unless this session has already published it and still keeps
     /// it. `None` if the text is too long.
     pub(super) fn offer(
         &self,
@@ -131,7 +131,7 @@ impl Offers {
         Some(Text { hash, bytes })
     }
 
-    /// Answers a robot's request for a text. A request for a text that is no longer kept is not answered.
+    /// Answers a robot's request for a published text. If the text is no longer kept, the request is not answered.
     pub(super) fn answer(&self, query: Query, speaking: &flume::Sender<Call>) {
         let asked = query.payload().and_then(|asked| <[u8; 32]>::try_from(&*asked.to_bytes()).ok());
         let Some(text) = asked.and_then(|hash| self.lock().kept.get(hash.into()).cloned()) else { return };
@@ -144,7 +144,7 @@ impl Offers {
         }));
     }
 
-    /// Records that a robot did not receive a publication. The robot then receives complete messages.
+    /// Records that a robot did not receive a published text. After that, this robot receives complete messages.
     pub(super) fn note_lack(&self, key: &Key) {
         tracing::debug!("the robot at {key} does not receive what is published for several robots");
         self.lock().without.insert(key.to_string());

@@ -1,4 +1,4 @@
-//! Both directions of one connection, without I/O: its flow control, its input, and its end.
+//! One end of a connection, for both directions and without I/O: its flow control, its input, and how it ends.
 
 use std::collections::VecDeque;
 use std::io;
@@ -8,12 +8,12 @@ use urrcp::ContentHash;
 
 use super::frame::{Frame, Next, Part};
 
-/// Maximum number of bytes that one side has written and that the other side has not read yet.
+/// Maximum number of bytes in flight: one side has written them, and the other side has not read them yet.
 pub(super) const WINDOW: usize = 1024 * 1024;
 /// Maximum size of a frame's content, in bytes.
 pub(super) const CONTENT_MAX: usize = 64 * 1024;
 
-/// How the input of a connection ended.
+/// How the input of a connection has ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum End {
     /// The other side has closed its direction.
@@ -26,11 +26,11 @@ enum End {
 #[derive(Debug)]
 enum Piece {
     Here(Vec<u8>),
-    /// A part of a text that has not arrived yet. Later pieces are not read before it.
+    /// A part of a separately published text that has not arrived yet. Later pieces of the stream are not read before it.
     Awaited(Part),
 }
 
-/// Numbers of bytes that were written: of the content, and of the text inserted into it.
+/// How many bytes were written: of a frame's content, and of the text inserted into it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Written {
     pub(super) content: usize,
@@ -41,22 +41,22 @@ pub(super) struct Written {
 #[derive(Debug, Default)]
 pub(super) struct Pipe {
     waiting: VecDeque<Piece>,
-    /// Number of bytes of the first waiting piece that have been read.
+    /// How many bytes of the first unread piece have already been read.
     begun: usize,
     next: u64,
     came: u64,
     read: u64,
-    /// Total number of bytes that this side had read at the last acknowledgement.
+    /// Total number of bytes read that this side last reported to the other side.
     told: u64,
     end: Option<End>,
     number: u64,
     written: u64,
-    /// Total number of bytes that the other side has read.
+    /// Total number of bytes that the other side has reported as read.
     taken: u64,
     has_ended: bool,
-    /// Whether a text that this side needs is unavailable.
+    /// Whether a published text that this side needs did not arrive.
     lacks: bool,
-    /// Whether the other side could not get a text to which this side referred.
+    /// Whether a published text to which this side referred did not reach the other side.
     is_lacked: bool,
     reader: Option<Waker>,
     writer: Option<Waker>,
@@ -67,7 +67,8 @@ fn count(bytes: usize) -> u64 {
 }
 
 impl Pipe {
-    /// Handles a frame from the other side. Returns the hash of a text that must be filled in before later bytes can be read.
+    /// Handles a frame from the other side. If the frame refers to a published text, returns the text's hash: the text must be supplied
+    /// before later bytes can be read.
     #[must_use]
     pub(super) fn receive(&mut self, bytes: &[u8]) -> Option<ContentHash> {
         if self.end.is_some() {
@@ -85,7 +86,7 @@ impl Pipe {
         }
     }
 
-    /// Adds the content of a frame to the input. Returns false if the frame breaks the connection.
+    /// Adds the content of a frame to the input. Returns false if the frame breaks the connection instead.
     fn take(&mut self, frame: &Frame<'_>) -> bool {
         let refused = self.check(frame);
         if let Some(why) = refused {
@@ -107,7 +108,7 @@ impl Pipe {
         true
     }
 
-    /// Checks a frame and updates the counts. Returns the reason if the frame breaks the connection.
+    /// Checks a frame and updates the counts. If the frame breaks the connection, returns the reason.
     fn check(&mut self, frame: &Frame<'_>) -> Option<String> {
         match frame.next {
             Next::Broken => return Some("the peer has lost a message or its connection".to_owned()),
@@ -126,7 +127,7 @@ impl Pipe {
         too_much.then(|| "the peer exceeds its send limit".to_owned())
     }
 
-    /// Fills in a text at all places that wait for it.
+    /// Inserts a published text at all places in the input that wait for it.
     pub(super) fn fill(&mut self, text: ContentHash, bytes: &[u8]) {
         let mut fits = true;
         for piece in &mut self.waiting {
@@ -145,7 +146,7 @@ impl Pipe {
         self.wake();
     }
 
-    /// Records that an awaited text will not arrive.
+    /// Records that a published text will not arrive. Breaks the connection if its input waits for this text.
     pub(super) fn lack(&mut self, text: ContentHash) {
         let awaits = |piece: &Piece| matches!(piece, Piece::Awaited(part) if part.text == text);
         if self.waiting.iter().any(awaits) {
@@ -154,12 +155,12 @@ impl Pipe {
         }
     }
 
-    /// Whether the other side could not get a text to which this side referred.
+    /// Whether a published text to which this side referred did not reach the other side.
     pub(super) const fn is_lacked(&self) -> bool {
         self.is_lacked
     }
 
-    /// Breaks the connection, even if the other side has sent everything.
+    /// Breaks the connection, even if the other side has already closed its direction.
     fn fail(&mut self, why: &str) {
         if self.end == Some(End::Said) {
             self.end = None;
@@ -196,7 +197,8 @@ impl Pipe {
         }
     }
 
-    /// Reads into a buffer. Reads zero bytes at the end. All received bytes can be read first, however the connection ended.
+    /// Reads into a buffer. At the end of the input, reads zero bytes. All bytes that were received can be read before the end or the
+    /// error, however the connection ended.
     pub(super) fn poll_read(
         &mut self,
         context: &Context<'_>,
@@ -227,7 +229,8 @@ impl Pipe {
         Poll::Ready(Ok(()))
     }
 
-    /// Returns the next frame, with as many bytes of the content, and of a part inserted into it, as may be written now.
+    /// Returns the next frame, and the number of bytes in it. It contains as much of `bytes`, and of the part inserted into them, as may
+    /// be written now.
     pub(super) fn poll_write(
         &mut self,
         context: &Context<'_>,
@@ -250,13 +253,15 @@ impl Pipe {
         Poll::Ready(Ok((written, self.frame(&bytes[..written.content], part, Next::More))))
     }
 
-    /// Returns a frame that reports the number of bytes read, once the other side may be waiting for it.
+    /// Returns a frame that reports the number of bytes read. `None` if fewer bytes than half of [`WINDOW`] were read since the last
+    /// report: the other side cannot be waiting yet.
     pub(super) fn acknowledgement(&mut self) -> Option<Vec<u8>> {
         let due = self.read.saturating_sub(self.told) >= count(WINDOW / 2);
         (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], None, Next::More))
     }
 
-    /// Returns the last frame, once. If the connection broke on this side, the frame informs the other side, which may not have noticed.
+    /// Returns the last frame at the first call, and `None` afterwards. If the connection broke on this side, the frame informs the other
+    /// side, which may not have noticed.
     pub(super) fn ending(&mut self) -> Option<Vec<u8>> {
         let next = match self.end {
             Some(End::Broken(_)) if self.lacks => Next::Lacking,
@@ -274,7 +279,7 @@ impl Pipe {
     }
 }
 
-/// Returns how many bytes of the content, and which piece of the part, a frame can contain if `room` bytes may be written.
+/// Returns how much of `bytes` and of the part fits into the next frame, if `room` bytes may be written.
 fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Part>) {
     let size = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
     let at = part.map_or(bytes.len(), |part| size(part.at).min(bytes.len()));
@@ -303,7 +308,7 @@ mod tests {
         written.map_ok(|(written, frame)| (written.content, frame))
     }
 
-    /// Writes bytes with a text inserted after `at` of them. Returns all frames that this requires.
+    /// Writes `bytes` with a text inserted after the first `at` bytes. Returns all frames that this takes.
     fn written_around(pipe: &mut Pipe, bytes: &[u8], at: usize, text: &[u8]) -> Vec<Vec<u8>> {
         let (mut frames, mut done) = (Vec::new(), Written::default());
         while done != (Written { content: bytes.len(), text: text.len() }) {
@@ -334,7 +339,8 @@ mod tests {
         frame
     }
 
-    /// Returns the available bytes (none at the end of the input) or the reason why the connection broke. `None` if nothing is available.
+    /// Reads up to `most` bytes, and returns them (none at the end of the input) or the reason why the connection broke. `None` if no
+    /// bytes have arrived yet.
     fn read(pipe: &mut Pipe, most: usize) -> Option<Result<Vec<u8>, String>> {
         let mut buffer = vec![0; most];
         let mut buffer = ReadBuf::new(&mut buffer);

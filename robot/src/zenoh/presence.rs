@@ -1,4 +1,4 @@
-//! The liveliness tokens in a network, and the connections that depend on them.
+//! The liveliness tokens in a Zenoh network, and the connections that end when their token disappears.
 
 use std::collections::HashMap;
 use std::io;
@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use super::keys::{Key, robot_of};
 use super::stream::{Shared, WeakShared};
 
-/// Time limit for the appearance of a token.
+/// Maximum time to wait until a liveliness token appears.
 const SEEN_WITHIN: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Default)]
@@ -22,17 +22,17 @@ struct Token {
 
 #[derive(Debug, Default)]
 struct Told {
-    /// Observed tokens, by key.
+    /// The liveliness tokens that the session has observed, by key.
     tokens: HashMap<String, Token>,
-    /// Number of robot tokens at each robot's key. 0 if all tokens at this key have disappeared.
+    /// Number of present liveliness tokens of robots, by the robot's key. 0 if all tokens at this key have disappeared.
     robots: HashMap<String, usize>,
 }
 
-/// The tokens that a session observes.
+/// The liveliness tokens that a session observes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tokens(Arc<Mutex<Told>>);
 
-/// The dependency of a connection on a token. Dropping it releases the token.
+/// Makes a connection depend on a liveliness token. Dropping this value forgets the token if nothing else needs it.
 pub(super) struct Following {
     tokens: Tokens,
     token: String,
@@ -43,7 +43,7 @@ impl Tokens {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Handles the appearance or disappearance of a token, as Zenoh reports it.
+    /// Handles the appearance or disappearance of a liveliness token that Zenoh reports.
     pub(super) fn hear(&self, sample: &Sample) {
         self.change(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
     }
@@ -68,13 +68,13 @@ impl Tokens {
         }
     }
 
-    /// Whether a robot was at this key and has disappeared. The caller then need not search for it, which would cost network time that
-    /// other robots need.
+    /// Whether a robot was once at this key and has disappeared. The caller need not search for it then. A search would cost network time
+    /// that other robots need.
     pub(super) fn have_left(&self, key: &Key) -> bool {
         self.lock().robots.get(&key.to_string()) == Some(&0)
     }
 
-    /// Makes a connection end when this token disappears, whether or not the token has been seen yet.
+    /// Makes a connection end when this liveliness token disappears. The token need not have appeared yet.
     pub(super) fn follow(&self, token: &str, pipe: &Shared) -> Following {
         let mut told = self.lock();
         let pipes = &mut told.tokens.entry(token.to_owned()).or_default().pipes;
@@ -83,7 +83,7 @@ impl Tokens {
         Following { tokens: self.clone(), token: token.to_owned() }
     }
 
-    /// Like [`Tokens::follow`], but first waits until the token has been seen.
+    /// Like [`Tokens::follow`], but waits until the token has appeared.
     pub(super) async fn follow_seen(&self, token: &str, pipe: &Shared) -> io::Result<Following> {
         let following = self.follow(token, pipe);
         let told = self.lock().tokens.get(token).map(|token| token.is_there.subscribe());

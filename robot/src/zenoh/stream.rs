@@ -19,7 +19,7 @@ use super::network::{Network, Urgency};
 use super::offers::{Offers, Text};
 use super::pipe::{Pipe, Written};
 
-/// One end of a connection. The network writes to it, and a stream reads from it.
+/// One end of a connection, which two parts share: the network adds received data, and a stream reads it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shared(Arc<Mutex<Pipe>>);
 
@@ -28,7 +28,7 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Handles a received frame. Returns the hash of a text that must be filled in.
+    /// Handles a received frame. If the frame refers to a published text, returns the hash of this text, which must be supplied.
     #[must_use]
     pub(super) fn receive(&self, sample: &Sample) -> Option<ContentHash> {
         self.lock().receive(&sample.payload().to_bytes())
@@ -39,7 +39,7 @@ impl Shared {
     }
 }
 
-/// Like [`Shared`], but does not keep the pipe alive.
+/// Like [`Shared`], but does not keep the end of the connection alive.
 #[derive(Debug)]
 pub(super) struct WeakShared(Weak<Mutex<Pipe>>);
 
@@ -53,13 +53,13 @@ impl WeakShared {
     }
 }
 
-/// Returns the id of the connection to which a received frame belongs.
+/// Returns the id of the connection to which a received frame belongs. `None` if the frame has no valid id.
 pub(super) fn link_of(sample: &Sample) -> Option<LinkId> {
     LinkId::decode(&sample.attachment()?.to_bytes())
 }
 
-/// Key at which one side of a connection publishes. The session declares the key with the first frame. Zenoh then computes its route, and
-/// compares later frames with no other keys.
+/// Key at which one side of a connection publishes. The session declares the key with the first frame. Zenoh then computes the route of
+/// the key once, and compares later frames with no other keys.
 #[derive(Debug)]
 pub(super) struct Target {
     key: KeyExpr<'static>,
@@ -67,7 +67,7 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// Creates a target, which is not declared yet.
+    /// Creates a target with this key, which is not declared yet.
     ///
     /// # Errors
     /// The text is not a valid key.
@@ -84,8 +84,8 @@ impl Target {
     }
 }
 
-/// A connection between a scheduler and a robot. It ends when the stream and its split halves are dropped: the other side then reads the
-/// bytes written before, and then the end.
+/// A connection between a scheduler and a robot. It ends when the stream and its split halves are dropped. The other side then reads all
+/// bytes written before, and after them the end of the stream.
 pub struct Stream(Arc<Ends>);
 
 struct Ends {
@@ -94,9 +94,9 @@ struct Ends {
     link: LinkId,
     target: Arc<Target>,
     haste: Urgency,
-    /// Declarations of the connection. They are dropped, and thereby end, with the connection.
+    /// Zenoh declarations of the connection. They end with the connection, because they are dropped with it.
     kept: Mutex<Option<Box<dyn Any + Send>>>,
-    /// Key of the robot, and the publications for several robots that it receives. Unset if it receives none.
+    /// Key of the robot, and the publications for several robots that the robot receives. Unset if it receives no such publications.
     hears: OnceLock<(Key, Arc<Offers>)>,
 }
 
@@ -144,9 +144,9 @@ impl Stream {
         (Self(Arc::clone(&self.0)), self)
     }
 
-    /// Publishes a text for all robots of an audience, unless it has been published before. Returns the text for [`Stream::write_with`].
-    /// Returns `None` if this robot does not receive publications, or if the text is longer than 4 MiB; the caller must then write the
-    /// text itself.
+    /// Publishes a text for all robots of an audience (a group of robots), unless it was published before. Returns the text for
+    /// [`Stream::write_with`]. Returns `None` if this robot receives no such texts, or if the text is longer than 4 MiB; the caller must
+    /// then write the text itself.
     #[must_use]
     pub fn offer(
         &self,
@@ -157,8 +157,8 @@ impl Stream {
         offers.offer(&self.0.network, (audience, hash), text)
     }
 
-    /// Writes bytes with offered texts inserted. Each text has a position in `bytes`, before which it is inserted; positions must not
-    /// decrease.
+    /// Writes `bytes`, and inserts texts that were offered by [`Stream::offer`]. Each text is inserted before its position in `bytes`;
+    /// positions must not decrease.
     ///
     /// # Errors
     /// The connection has ended.
@@ -187,7 +187,7 @@ impl Stream {
 
 #[cfg(test)]
 impl Stream {
-    /// Forgets all offered texts, so that requests for them fail, for a test.
+    /// Forgets all offered texts, so that requests for them are not answered. Only for tests.
     pub(super) fn forget_offers(&self) {
         self.0.hears.get().unwrap().1.forget();
     }

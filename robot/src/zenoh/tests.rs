@@ -1,4 +1,4 @@
-//! Tests connections over Zenoh between sessions of this process, from peer to peer over TCP on the loopback interface.
+//! Tests connections over Zenoh between two sessions of this process, which connect directly over TCP on the loopback interface.
 
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -89,7 +89,7 @@ async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
     }
 }
 
-/// Returns a port that forwards one connection to `port`. It rejects later connections and counts them.
+/// Returns a new port, which forwards one connection to `port` and rejects later ones. Also returns the number of rejected connections.
 fn way_for_one(port: u16) -> (u16, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (way, turned_away) = (listener.local_addr().unwrap().port(), Arc::new(AtomicUsize::new(0)));
@@ -257,7 +257,7 @@ fn offer(stream: &Stream, text: &[u8]) -> Option<Text> {
     stream.offer((7, ContentHash::of(text)), || text.to_vec())
 }
 
-/// Writes `<`, an offered text, and `>`, and then closes its direction.
+/// Writes `<`, an offered text, and `>`, and then closes the stream for writing.
 async fn write_around(mut stream: Stream, text: Text) -> Stream {
     stream.write_with(b"<>", &[(1, text)]).await.unwrap();
     stream.shutdown().await.unwrap();
@@ -273,7 +273,7 @@ fn around(text: &[u8]) -> Vec<u8> {
     [b"<", text, b">"].concat()
 }
 
-/// Returns the lengths of the messages that a session receives at these keys.
+/// Returns a list to which the length of each message at these keys is added when the session receives it.
 fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     let heard = Arc::new(Mutex::new(Vec::new()));
     let (hears, (declared, begun)) = (Arc::clone(&heard), std::sync::mpsc::channel());
@@ -288,7 +288,7 @@ fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     heard
 }
 
-/// Opens a connection that may refer to published texts, and returns both of its sides.
+/// Opens a connection that may refer to texts published for several robots. Returns both of its ends.
 async fn sharing(schedulers: &Network, listener: &mut Listener) -> (Stream, Stream) {
     let connected = async {
         loop {

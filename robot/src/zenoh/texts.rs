@@ -1,5 +1,5 @@
-//! The texts that a robot's process has received from one scheduler, and the connections that wait for texts. Decides which texts are
-//! kept and requested, and which connections get them. Does no I/O.
+//! The published texts that a robot's process has received from one scheduler, and the connections that wait for texts. Decides which
+//! texts are kept or requested, and which connections get them. Does no I/O.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -8,16 +8,17 @@ use urrcp::ContentHash;
 
 use super::stream::{Shared, WeakShared};
 
-/// Maximum length of a text in bytes. A longer text is not published; if it is published nevertheless, it is ignored.
+/// Maximum length in bytes of a text that is published for several robots. A longer text is not published; if it is published
+/// nevertheless, it is ignored.
 pub(super) const TEXT_MAX: usize = 4 * 1024 * 1024;
-/// Maximum total size of the kept texts in bytes. The oldest texts are dropped first.
+/// Maximum total size of the published texts that are kept, in bytes. The oldest texts are dropped first.
 pub(super) const KEPT_BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Maximum number of texts that are kept.
+/// Maximum number of published texts that are kept.
 const KEPT_MAX: usize = 256;
-/// Maximum number of texts for which connections wait.
+/// Maximum number of missing texts for which connections may wait.
 const AWAITED_MAX: usize = 64;
 
-/// Received or published texts, the oldest first.
+/// Texts that were received or published. The oldest is the first.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     texts: VecDeque<(ContentHash, Arc<[u8]>)>,
@@ -29,7 +30,7 @@ impl Kept {
         self.texts.iter().rev().find(|(kept, _)| *kept == hash).map(|(_, text)| text)
     }
 
-    /// Keeps a text that has not been kept before. If there is not enough room, the oldest texts are dropped.
+    /// Keeps a text that is not kept yet. If there is not enough room, drops the oldest texts.
     pub(super) fn keep(&mut self, hash: ContentHash, text: Arc<[u8]>) {
         self.bytes += text.len();
         self.texts.push_back((hash, text));
@@ -40,16 +41,16 @@ impl Kept {
     }
 }
 
-/// Result for a connection that needs a text.
+/// What happened when a connection needed a published text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Supply {
-    /// The text was filled in.
+    /// The text was available and was supplied to the connection.
     Filled,
     /// The connection waits for the text. The text has not been requested yet, so the caller must request it.
     Ask,
-    /// The connection waits for the text, which has already been requested.
+    /// The connection waits for the text. The text has already been requested.
     Waits,
-    /// Too many texts are being awaited, so the connection is broken.
+    /// Connections already wait for too many texts, so this connection was broken.
     Refused,
 }
 
@@ -61,7 +62,7 @@ pub(super) struct Texts {
 }
 
 impl Texts {
-    /// Fills in a text if it is kept. Otherwise the connection waits for the text.
+    /// Supplies a connection with a text, if the text is kept. Otherwise, the connection waits for the text.
     pub(super) fn supply(&mut self, hash: ContentHash, pipe: &Shared) -> Supply {
         if let Some(text) = self.kept.get(hash) {
             pipe.lock().fill(hash, text);
@@ -78,7 +79,8 @@ impl Texts {
         supply
     }
 
-    /// Handles a received text. `hash` must be computed from the received bytes, not taken from the request or publication.
+    /// Handles a received text. `hash` must be computed from the received bytes. It must not be taken from the request or the
+    /// publication.
     pub(super) fn hear(&mut self, hash: ContentHash, text: &[u8]) {
         for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
             pipe.lock().fill(hash, text);
@@ -101,7 +103,7 @@ mod tests {
     use super::super::frame::{Frame, Next, Part};
     use super::*;
 
-    /// Returns a connection that waits for a text, and the hash of this text.
+    /// Returns a connection that waits for this text, and the hash of the text.
     fn waiting_for(text: &[u8]) -> (Shared, ContentHash) {
         let (pipe, hash) = (Shared::default(), ContentHash::of(text));
         let part = Part { text: hash, from: 0, count: 1, at: 0 };

@@ -9,7 +9,7 @@ pub(super) struct Actor {
     /// The control type of the movement: `position`, `speed` or `acceleration`.
     pub(super) control_type: ControlType,
     pub(super) limits: Limits,
-    /// The value at rest: the default value, zero, or the middle of the range.
+    /// The value at rest: the first acceptable one of the default value, zero, and the middle of the range.
     pub(super) rest: f64,
     /// A value close to `rest`: one five-hundredth of the range away, but at least one step of the granularity.
     pub(super) near: f64,

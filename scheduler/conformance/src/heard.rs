@@ -13,7 +13,7 @@ pub(super) struct Received<T> {
     pub(super) message: T,
 }
 
-/// Identifies a request sent on a line; used to query its responses.
+/// Identifies a request sent on a connection; used to query its responses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ticket(usize);
 
@@ -25,7 +25,7 @@ pub(super) struct SentRequest {
     pub(super) text: String,
     /// Time just before the first byte of the request was last written.
     pub(super) sent: Timestamp<Server>,
-    /// Number of times that the request was sent without being answered yet.
+    /// Number of times that the request was sent, minus the number of immediate answers to it.
     unanswered: u32,
     pub(super) heard: Vec<Received<ControlResponse>>,
 }
@@ -35,13 +35,13 @@ impl SentRequest {
         self.heard.iter().any(|heard| heard.message.status == *status)
     }
 
-    /// Whether the robot has accepted the request and has not reported its end.
+    /// Whether the robot has accepted the request and has not yet reported that it ended.
     pub(super) fn is_held(&self) -> bool {
         self.has(&Status::Accepted) && !self.has(&Status::Ok) && !self.has(&Status::Failed)
     }
 }
 
-/// The requests sent on one line, in the order of sending.
+/// The requests sent on one connection, in the order of sending.
 #[derive(Debug, Default)]
 pub(super) struct Exchanges(Vec<SentRequest>);
 
@@ -57,7 +57,7 @@ impl Exchanges {
         Ticket(self.0.len() - 1)
     }
 
-    /// Adds a request that was sent on another line, with the responses received so far.
+    /// Adds a request that was sent on another connection, with the responses received so far.
     pub(super) fn adopt(&mut self, asked: SentRequest) -> Ticket {
         self.0.push(SentRequest { unanswered: 0, ..asked });
         Ticket(self.0.len() - 1)
@@ -132,7 +132,7 @@ pub(super) fn says_malformed(message: &Message) -> bool {
 mod tests {
     use super::*;
 
-    /// Feeds the responses `said` without request ids, and checks the number of responses assigned to each request.
+    /// Assigns the responses `said`, which have no request ids, to the requests `asked`, and checks how many each request receives.
     #[track_caller]
     fn check(asked: &[&str], said: &[&str], expected: &[usize]) {
         let mut exchanges = Exchanges::default();

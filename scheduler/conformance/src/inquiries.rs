@@ -92,10 +92,10 @@ pub(super) const ALL: [Requirement; 13] = [
     },
 ];
 
-/// The lease in tests that wait for the end of a lease, and the limit that an inquiry sets.
+/// Duration of the leases in these checks, and time from an inquiry to the `pending_until` instant that it sets.
 const PERIOD: Span = Span::from_millis(300);
 
-/// Makes a requirement not applicable unless the robot answers inquiries.
+/// Returns [`Unmet::NotApplicable`] if the robot does not answer inquiries.
 pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
     if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot does not declare `inquiry`")) }
 }
@@ -158,7 +158,7 @@ fn inquiry(trial: &Trial) -> Checked {
     }
 }
 
-/// Maximum difference between a reported and a requested instant due to rounding: the protocol sends milliseconds as doubles.
+/// Maximum difference due to rounding between a reported and a requested instant. The protocol sends milliseconds as doubles.
 const ROUNDING: Span = Span::from_micros(1);
 
 fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
@@ -182,7 +182,7 @@ fn held(trial: &Trial) -> Checked {
     }
 }
 
-/// Repeats an inquiry until the request is in the given state.
+/// Repeats an inquiry until the request is in the given state or the timeout expires.
 pub(super) fn reaches(
     trial: &Trial,
     line: &mut Line,
@@ -341,7 +341,7 @@ fn position(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Checks that no further response to a held request arrives.
+/// Checks that the robot sends no response to a held (accepted, not yet ended) request after having accepted it.
 fn stays_held(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
     match line.asked(ticket).heard.get(1) {
@@ -456,7 +456,7 @@ fn pending_lease(trial: &Trial) -> Checked {
     other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
 }
 
-/// Makes a requirement not applicable unless the robot acts on `pending_until`.
+/// Returns [`Unmet::NotApplicable`] if the robot does not support `pending_until`, the instant at which a pending request ends.
 fn limiting(trial: &Trial) -> Result<(), Unmet> {
     answering(trial)?;
     if trial.block()?.pending_until {
@@ -503,7 +503,7 @@ fn own_pending_until(trial: &Trial) -> Checked {
     ends_at(trial, &mut line, (ticket, &request), (until, &sent))
 }
 
-/// Checks that a request ends at its `pending_until`, although further inquiries arrive in the meantime.
+/// Checks that a request ends at its `pending_until` instant, even if further inquiries arrive before it.
 fn ends_at(
     trial: &Trial,
     line: &mut Line,
@@ -528,7 +528,7 @@ fn ends_at(
     }
 }
 
-/// Creates an inquiry that sets the `pending_until` of a request to `after` from now, by the robot's clock.
+/// Creates an inquiry that sets the `pending_until` instant of a request to `after` from now.
 fn until_after(trial: &Trial, after: Span, request: &ControlRequest) -> Inquiry {
     Inquiry { pending_until: Some((trial.stamp() + after).assume_clock()), ..about(&[request]) }
 }

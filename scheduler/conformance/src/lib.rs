@@ -87,7 +87,7 @@ pub enum NotExamined {
     /// No robot answers at the address.
     #[error("{0}")]
     Unreachable(String),
-    /// The robot lacks the device that it should move.
+    /// The robot lacks the device that the examination is to move.
     #[error("{0}")]
     NoDevice(String),
 }
@@ -178,8 +178,8 @@ fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Resul
     )))
 }
 
-/// The result for a requirement that is not checked because the robot has been unresponsive since the check `since`. Each request would
-/// wait for the full response timeout.
+/// Creates the result for a requirement that is not checked because the robot has been unresponsive since the check `since`. Any further
+/// check would only wait for timeouts.
 fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     let why = format!(
         "not checked: since `{since}` the robot accepts no connection or does not answer; expected it to keep running"

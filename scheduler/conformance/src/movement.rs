@@ -47,7 +47,7 @@ pub(super) const ALL: [Requirement; 5] = [
 /// Time within which an erroneous movement to the default state would begin.
 const WATCHED: Span = Span::from_millis(300);
 
-/// Moves the device away from its default position. Returns the device and the line.
+/// Moves the device away from its default position. Returns the device and the connection.
 fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     answering(trial)?;
     let actor = trial.actor()?;

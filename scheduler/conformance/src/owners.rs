@@ -68,7 +68,7 @@ fn session_stop(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Period after which a silent session without held commands loses the robot.
+/// Period of silence after which a session without held commands (accepted, not yet ended) loses the robot.
 const SILENCE: Span = Span::from_millis(5_000);
 
 fn session_silence(trial: &Trial) -> Checked {

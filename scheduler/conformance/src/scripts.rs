@@ -98,7 +98,7 @@ fn script_timing(trial: &Trial) -> Checked {
     }
 }
 
-/// A script of `count` steps at intervals of one millisecond. The check ends before the script starts.
+/// Creates a script of `count` steps at intervals of one millisecond. The check ends before the script starts.
 fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
     let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
     trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
@@ -134,7 +134,7 @@ fn one_step_too_many(trial: &Trial) -> Checked {
     pass()
 }
 
-/// The n-th of several scripts that follow each other without gaps.
+/// Creates the n-th of several scripts that follow each other without gaps.
 fn nth(trial: &Trial, actor: &Actor, timestamp: &ControlRequest, n: u32) -> ControlRequest {
     let request = trial.there_and_back(actor, 500.0).leased(LEASE_MS);
     let request = ControlRequest { timestamp: timestamp.timestamp, ..request };

@@ -48,9 +48,9 @@ pub(super) const ALL: [Requirement; 6] = [
     },
 ];
 
-/// Time by which a robot may report a start too early, due to rounding.
+/// Maximum time by which a robot may report a start early, because of rounding.
 pub(super) const EARLY_MAX: Span = Span::from_millis(1);
-/// Time in milliseconds from sending a request to its start, in checks that judge the start.
+/// Time in milliseconds from a request's timestamp to the planned start, in checks that judge the start.
 const SOON_MS: f64 = 400.0;
 
 fn deferred_start(trial: &Trial) -> Checked {
@@ -72,7 +72,7 @@ fn script_start(trial: &Trial) -> Checked {
     starts(trial, &mut line, &request, until_started(actor, &request))
 }
 
-/// Time from the scheduled start of a request until the robot has to report it as started.
+/// Returns the time from a request's scheduled start to the instant at which the robot has to report the start.
 pub(super) fn until_started(actor: &Actor, request: &ControlRequest) -> Span {
     match &request.command {
         Command::Script(script) => script.until_started(actor.device.interpolation),
@@ -143,7 +143,7 @@ fn refused_for_good(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<()
     }
 }
 
-/// How far in the past a start must be so that it is in the past regardless of clock uncertainty.
+/// Time by which a start must precede the present, in addition to the clock uncertainty, so that it is certainly in the past.
 const JUST_PASSED: Span = Span::from_millis(10);
 
 fn late_by_little(trial: &Trial) -> Checked {

@@ -40,7 +40,7 @@ pub(super) const ALL: [Requirement; 5] = [
     },
 ];
 
-/// Sends an empty script and waits until the robot confirms it.
+/// Sends `cancel`, an empty script, and waits until the robot confirms that the device is at rest.
 pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
     let ticket = line.ask(cancel)?;
     let answer = line.answer(ticket)?;
@@ -51,7 +51,7 @@ pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -
     }
 }
 
-/// Waits for the report that an empty script has cancelled the request, if the robot sends reports.
+/// Waits for the report that an empty script has cancelled the request of `ticket`, if the robot sends reports.
 fn is_cancelled(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     if trial.reports() {
         line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;

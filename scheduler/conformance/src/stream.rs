@@ -180,7 +180,7 @@ pub(super) fn line(socket: &mut TcpStream) -> io::Result<String> {
     String::from_utf8(line).map_err(|_| io::Error::other(NotSealed::NotSpoken))
 }
 
-/// Creates the first line of the handshake from the pass `held`.
+/// Creates the first line of the handshake from `held`, a pass with the identity that it proves.
 pub(super) fn hello(held: &Held) -> io::Result<Hello> {
     Ok(Hello { nonce: fresh_nonce()?, robot: held.robot.clone(), claim: held.claim.clone() })
 }

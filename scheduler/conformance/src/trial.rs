@@ -20,9 +20,9 @@ use super::stream::Stream;
 use downbeat_runtime::link::{Security, denial};
 use downbeat_runtime::server_clock::ServerClock;
 
-/// Time in milliseconds to a start that is never reached, because the check ends earlier.
+/// Time in milliseconds until a start that is never reached, because the check ends earlier.
 pub(super) const LATER_MS: f64 = 20_000.0;
-/// Lease in milliseconds of commands that are held briefly, so that commands that a check cannot cancel end soon.
+/// Lease in milliseconds of held commands (accepted, not yet ended). It is short, so that commands that a check cannot cancel end soon.
 pub(super) const LEASE_MS: f64 = 1_500.0;
 /// Interval between checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
@@ -34,9 +34,9 @@ pub(super) struct Trial {
     options: Options,
     clock: ServerClock,
     interrupted: Arc<AtomicBool>,
-    /// Time that is added to the server's clock in the timestamp of every request.
+    /// Time by which the timestamps of requests are ahead of the server's clock.
     pub(super) shift: Span,
-    /// Whether the robot requires a greeting on every connection.
+    /// Whether the robot requires a greeting (a request for availability and one for initialization) on every connection.
     pub(super) greets: bool,
     /// The robot's initialization block; `None` until the robot has sent it.
     pub(super) block: Option<InitializationBlock>,
@@ -95,7 +95,7 @@ impl Trial {
         self.now() + self.shift
     }
 
-    /// Deadline for the response to a message that is sent now.
+    /// Returns the deadline for the response to a message that is sent now.
     pub(super) fn patience(&self) -> Timestamp<Server> {
         self.now() + self.options.patience
     }
@@ -121,7 +121,8 @@ impl Trial {
         }
     }
 
-    /// Opens a connection. If the robot requires a greeting on every connection, sends it, so that only the check of the greeting fails.
+    /// Opens a connection. If the robot requires a greeting on every connection, sends one. Otherwise, every check would fail, and not
+    /// only the check of the greeting.
     pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
         let mut line = self.connect_silently()?;
         if self.greets {
@@ -165,7 +166,7 @@ impl Trial {
         }
     }
 
-    /// Opens an additional connection. The requirement is not applicable if the robot serves only one.
+    /// Opens an additional connection. Returns [`Unmet::NotApplicable`] if the robot serves only one.
     pub(super) fn connect_second(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {
@@ -182,7 +183,7 @@ impl Trial {
         })
     }
 
-    /// The device to move.
+    /// Returns the device to move.
     pub(super) fn actor(&self) -> Result<&Actor, Unmet> {
         self.block()?;
         self.actor.as_ref().ok_or_else(|| match &self.options.device {
@@ -193,7 +194,7 @@ impl Trial {
         })
     }
 
-    /// The device to move, if it accepts scripts.
+    /// Returns the device to move, if it accepts scripts.
     pub(super) fn scripted(&self) -> Result<&Actor, Unmet> {
         let actor = self.actor()?;
         if actor.in_script {
@@ -203,7 +204,7 @@ impl Trial {
         }
     }
 
-    /// Makes a requirement not applicable unless the robot reports on accepted commands.
+    /// Returns [`Unmet::NotApplicable`] if the robot does not report on accepted commands.
     pub(super) fn reporting(&self) -> Result<(), Unmet> {
         if self.block()?.reports {
             Ok(())
@@ -257,7 +258,7 @@ impl Trial {
         request.starting_in(LATER_MS).leased(LEASE_MS)
     }
 
-    /// Creates a request with the empty script.
+    /// Creates a request with the empty script, which cancels the device's commands.
     pub(super) fn cancel(&self, actor: &Actor) -> ControlRequest {
         let cancel = self.request(&actor.device.id, Command::Script(Script::cancel()));
         ControlRequest { timestamp: None, ..cancel }
@@ -267,12 +268,12 @@ impl Trial {
         self.round_trip.set(self.round_trip.get().max(span));
     }
 
-    /// Maximum time until the client learns of an event on the robot: the longest observed round trip plus the tolerance.
+    /// Returns the maximum time until the client learns of an event on the robot: the longest observed round trip plus the tolerance.
     pub(super) fn slack(&self) -> Span {
         self.round_trip.get() + self.options.tolerance
     }
 
-    /// Notes that a closed connection has left a held command behind.
+    /// Records that the robot may still hold a command of a connection that was closed.
     pub(super) fn leaves_held(&self) {
         self.left_held.set(true);
     }
@@ -313,7 +314,8 @@ impl Trial {
         confirmed
     }
 
-    /// Brings the robot to rest at the end, even after an interruption by the operator.
+    /// Brings the robot to rest at the end of the examination, even if the operator has interrupted it. Returns whether the robot
+    /// confirmed that it is at rest.
     pub(super) fn settle_at_the_end(&self) -> bool {
         self.interrupted.store(false, Ordering::Relaxed);
         self.settle()

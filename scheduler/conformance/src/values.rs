@@ -63,7 +63,7 @@ pub(super) const ALL: [Requirement; 9] = [
     },
 ];
 
-/// Checks that the device accepts a value for a later start, and cancels the command at once, so that nothing moves.
+/// Checks that the device accepts a value for a later start. Cancels the command at once, so that nothing moves.
 fn takes(trial: &Trial, line: &mut Line, value: f64) -> Result<(), Unmet> {
     let actor = trial.actor()?;
     line.held(&trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS))?;
@@ -85,7 +85,7 @@ fn range(trial: &Trial) -> Checked {
     Ok(format!("`{}` accepted {low} and {high}, refused {below} and {above}", actor.device.id))
 }
 
-/// A value between two multiples of the granularity.
+/// Returns a value between two multiples of the granularity.
 fn off_grid(trial: &Trial) -> Result<f64, Unmet> {
     let actor = trial.actor()?;
     let half = actor.limits.granularity / 2.0;
@@ -148,7 +148,7 @@ fn unknown_control_type(trial: &Trial) -> Checked {
     note
 }
 
-/// Checks that the robot refuses a command of a control type that the device lacks, and ends the commands that the device holds.
+/// Checks that the robot refuses a command whose control type the device lacks, and ends the commands that the device holds.
 fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;

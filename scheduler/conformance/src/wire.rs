@@ -83,7 +83,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
 ];
 
-/// A valid control request that the robot accepts and holds, as a base for invalid requests.
+/// Creates a valid control request that the robot accepts and holds, as a base for invalid requests.
 fn sound(trial: &Trial) -> Result<Value, Unmet> {
     let actor = trial.actor()?;
     Ok(json!({

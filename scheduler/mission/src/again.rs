@@ -11,21 +11,22 @@ use super::{Mission, Outcome, Phase};
 
 /// The maximum number of times that an act is prepared again.
 const AGAIN_MAX: u32 = 2;
-/// The minimum delay that the next attempt allows for. A machine that was late by less may be late by this much the next time.
+/// The minimum delay of this machine that the next attempt allows for. A machine that was late by less may be late by this much the next
+/// time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is overdue by more than this, or was so in the last few seconds, has missed a round. If leases end then, this machine is
-/// the cause.
+/// If an act is overdue by more than this, or was so in the last few seconds, the mission has missed a round of questions. If leases end
+/// then, this machine is the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
-/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the act
-/// lapses and is not stopped, because a stop would end both.
+/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the withdrawn
+/// act lapses without a stop, because a stop would end both acts.
 #[derive(Debug)]
 pub(super) struct Again {
     act: usize,
     attempts: u32,
     /// The fixed start of the act; `None` if the start is not fixed.
     start: Option<Timestamp<Server>>,
-    /// Robots that would have failed if this machine were not suspected. They fail if they do not confirm their stop.
+    /// Robots that would count as failed if this machine were not suspected to be the cause. They fail if they do not confirm their stop.
     suspended: Vec<(usize, FailureKind)>,
     hold_up: Span,
 }
@@ -40,9 +41,9 @@ impl Mission {
         }
     }
 
-    /// Handles the failure of robots in an act. This machine may be the cause if leases end or robots are silent before the commitment
-    /// and the mission has run late, or if most robots have not accepted in time although their links are up. In these cases, the mission
-    /// prepares the act again before it considers the robots failed.
+    /// Handles robots of an act that seem to have failed. This machine may be the cause in two cases. Leases ended or robots were silent
+    /// before the commitment, and the mission has run late. Or most robots have not accepted in time although their links are up. In both
+    /// cases, the mission prepares the act again before it considers the robots failed.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
@@ -84,8 +85,8 @@ impl Mission {
         }
     }
 
-    /// Whether an act may be prepared again: it has attempts left, and may start later than at a fixed time. While another act plays, all
-    /// robots of the act must also drop it by themselves.
+    /// Whether an act may be prepared again: it has attempts left, and no fixed start prevents a later one. While another act plays, all
+    /// robots of this act must also drop it by themselves.
     pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: u32) -> bool {
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
         let (act, drops) = match self.acts.as_slice() {
@@ -132,7 +133,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
     }
 
-    /// Ends the stop of a withdrawn act. Returns whether the act is prepared again; if not, the mission ends.
+    /// Handles the end of the stop of a withdrawn act. Returns whether the act is prepared again; if not, the mission ends.
     pub(super) fn goes_again(&mut self, now: Timestamp<Server>, confirmed: bool) -> bool {
         let Some(again) = self.again.take() else { return false };
         let moved = self.acts.iter().any(|act| self.may_have_begun(now, act));
@@ -155,7 +156,7 @@ impl Mission {
         false
     }
 
-    /// Discards the withdrawn attempt and queues the act again. The condition of the act has been met.
+    /// Discards the withdrawn attempt, and queues the act again. The act does not wait for its condition, which has already been met.
     pub(super) fn line_up_again(&mut self, now: Timestamp<Server>) {
         let Some(Again { act, attempts, start, .. }) = self.again.take() else { return };
         while !self.acts.is_empty() {

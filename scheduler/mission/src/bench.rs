@@ -35,12 +35,12 @@ pub(super) fn ms(millis: i64) -> Span {
     Span::from_millis(millis)
 }
 
-/// An instant, in milliseconds after a fixed one.
+/// Returns the instant that is `millis` milliseconds after a fixed one.
 pub(super) fn at(millis: i64) -> Timestamp<Server> {
     Timestamp::from_nanos(0) + ms(1_000_000 + millis)
 }
 
-/// A connected robot with the devices `a`, `b` and `c`.
+/// Returns a connected robot with the devices `a`, `b` and `c`.
 pub(super) fn robot(id: &str, tells: Tells, queue: usize) -> RobotState {
     let (reports, inquiry) = match tells {
         Tells::Everything => (true, true),
@@ -70,7 +70,7 @@ pub(super) fn stop_condition() -> StopCondition {
     StopCondition { pending: None, running: Some(Millis::from_span(RUNNING)) }
 }
 
-/// A script with a step at its start and one at its end.
+/// Returns a script with a step at its start and one at its end.
 pub(super) fn device_script((device, start, duration): Planned) -> DeviceScript {
     let step = |offset: i64| Step {
         offset: Millis::from_span(ms(offset)),
@@ -86,7 +86,7 @@ pub(super) fn device_script((device, start, duration): Planned) -> DeviceScript 
     }
 }
 
-/// One act, in which the robots `r0`, `r1` and so on play these scripts.
+/// Returns a choreography of one act, in which the robots `r0`, `r1` and so on play these scripts.
 pub(super) fn choreography(scripts: &[&[Planned]]) -> Choreography {
     let robot = |(index, scripts): (usize, &&[Planned])| RobotPlan {
         robot: RobotId::new(format!("r{index}")).unwrap(),
@@ -105,7 +105,7 @@ pub(super) fn played(scripts: &[&[Planned]]) -> Arc<Choreography> {
     Arc::new(choreography(scripts))
 }
 
-/// The given time as a time of a robot's clock that agrees with the server's.
+/// Returns the time of a robot's clock at `at`, if that clock agrees with the server's.
 pub(super) fn by_robot(at: Timestamp<Server>) -> Timestamp<Robot> {
     at.assume_clock()
 }

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ControlResponse, RequestReport, RequestState, Robot, Server, Span, Status, Timestamp};
 
-/// The maximum error that a busy machine and coarse clocks add to any time.
+/// The maximum error that a busy machine and coarse clocks add to any timestamp.
 const GRAIN: Span = Span::from_millis(20);
 
 /// An impossible statement of a robot about a script.
@@ -15,23 +15,23 @@ const GRAIN: Span = Span::from_millis(20);
 #[serde(tag = "claim", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Claim {
-    /// More steps than the script has.
+    /// The robot has executed more steps than the script has.
     #[error("{claimed} steps done, of {planned} planned")]
     Steps {
-        /// The stated number of steps.
+        /// The stated number of executed steps.
         claimed: u32,
         /// The number of steps of the script.
         planned: u32,
     },
-    /// Fewer steps than the robot had stated before.
+    /// The robot has executed fewer steps than it had stated before.
     #[error("{claimed} steps done, after reporting {before}")]
     FewerSteps {
-        /// The stated number of steps.
+        /// The stated number of executed steps.
         claimed: u32,
-        /// The number of steps that the robot had stated before.
+        /// The number of executed steps that the robot had stated before.
         before: u32,
     },
-    /// More late steps than executed steps.
+    /// More steps were late than were executed.
     #[error("{claimed} steps late, of {done} done")]
     LateSteps {
         /// The stated number of late steps.
@@ -39,43 +39,43 @@ pub enum Claim {
         /// The stated number of executed steps.
         done: u32,
     },
-    /// Completion before the last step of the script.
+    /// The robot has completed the script before its last step.
     #[error("completed with {claimed} steps done, of {planned} planned")]
     Completed {
-        /// The stated number of steps.
+        /// The stated number of executed steps.
         claimed: u32,
         /// The number of steps of the script.
         planned: u32,
     },
-    /// A start before the script was sent.
+    /// The script started before it was sent.
     #[error("started {by} before the script was sent")]
     BeforeSent {
-        /// The stated start.
+        /// The start that the robot states.
         claimed: Timestamp<Robot>,
-        /// The minimum time by which the start is too early.
+        /// The start is too early by at least this time.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// A start before the script can have arrived.
+    /// The script started before it can have arrived.
     #[error("started {by} earlier than possible")]
     StartedEarly {
-        /// The minimum time by which the start is too early.
+        /// The start is too early by at least this time.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// A stated time in the future.
+    /// The robot states a time in the future.
     #[error("the reported time is {by} in the future")]
     Ahead {
         /// The time that the robot states.
         claimed: Timestamp<Robot>,
-        /// The minimum time by which the stated time is later than the arrival of the report.
+        /// The stated time is later than the arrival of the report by at least this time.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// Completion before the script can have been played.
+    /// The robot has completed the script before it can have been played.
     #[error("completed {by} earlier than possible")]
     EndedEarly {
-        /// The minimum time by which the completion is too early.
+        /// The completion is too early by at least this time.
         #[serde(rename = "by_ms")]
         by: Span,
     },
@@ -129,7 +129,7 @@ impl Told {
         }
     }
 
-    /// The arrival time of the statement.
+    /// Returns the arrival time of the statement.
     pub(crate) const fn arrived(&self) -> Timestamp<Server> {
         self.arrived
     }
@@ -138,18 +138,18 @@ impl Told {
         self.begun || self.steps_done.is_some_and(|steps| steps > 0)
     }
 
-    /// The stated number of steps, with the time of the statement.
+    /// Returns the stated number of executed steps, with the time of the statement; `None` if the robot states no number.
     pub(crate) fn steps(&self) -> Option<(Timestamp<Robot>, u32)> {
         self.steps_done.map(|steps| (self.said_at, steps))
     }
 }
 
-/// The values that a robot's statement about a script can have.
+/// The limits that a robot's statement about a script must observe to be possible.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Possible {
     /// The number of steps of the script.
     pub(crate) planned: u32,
-    /// The latest report of executed steps, with its time by the robot's clock.
+    /// The number of executed steps in the robot's latest report, with the time of that report by the robot's clock.
     pub(crate) before: Option<(Timestamp<Robot>, u32)>,
     /// The instants of the script; `None` before the script's act was sent.
     pub(crate) times: Option<Times>,
@@ -160,18 +160,20 @@ pub(crate) struct Possible {
 pub(crate) struct Times {
     /// The earliest time at which the act may have been sent.
     pub(crate) sent: Timestamp<Server>,
-    /// The start of the script by the robot's clock, and its playing time.
+    /// The planned start of the script, by the robot's clock.
     pub(crate) start: Timestamp<Robot>,
+    /// The playing time of the script.
     pub(crate) duration: Span,
-    /// The offset of the robot's clock, robot minus server, and its uncertainty.
+    /// The robot's clock minus the server's.
     pub(crate) offset: Span,
+    /// The true offset differs from `offset` by at most this.
     pub(crate) uncertainty: Span,
-    /// The permitted distance of a start from the plan.
+    /// The maximum permitted difference between the actual and the planned start.
     pub(crate) tolerance: Span,
 }
 
 impl Possible {
-    /// The impossible part of a statement, if any.
+    /// Returns the impossible part of a statement; `None` if the whole statement is possible.
     pub(crate) fn contradicts(&self, told: &Told) -> Option<Claim> {
         self.steps(told).or_else(|| self.times.and_then(|times| times.contradicts(told)))
     }

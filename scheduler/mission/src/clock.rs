@@ -10,17 +10,17 @@ use urrcp::{Robot, Server, Span, Timestamp};
 
 use round_trips::RoundTrips;
 
-/// The fastest drift between two clocks, as a fraction. IEEE 802.3 allows it for the oscillator of a network port, and thus of a
-/// free-running computer. It applies until the drift has been measured.
+/// The maximum assumed drift between two clocks, as a fraction, until the drift has been measured. IEEE 802.3 allows this much for the
+/// oscillator of a network port, and thus of a free-running computer.
 pub const DRIFT_BOUND: f64 = 100e-6;
 
 /// The maximum change of a measured drift while it is tracked, as a fraction: PHI, the frequency tolerance of RFC 5905, section 7.2.
 pub const DRIFT_WANDER: f64 = 15e-6;
 
-/// The largest uncertainty of a drift that is reported and tracked. A worse estimate adds little to the bound.
+/// The uncertainty above which a measured drift is neither reported nor tracked. A worse estimate is hardly better than [`DRIFT_BOUND`].
 const DRIFT_KNOWN: f64 = DRIFT_BOUND / 2.0;
 
-/// The number of bins in which exchanges are collected to measure the drift. The bins widen until together they span the window.
+/// The number of time bins in which exchanges are collected to measure the drift. The bins widen until together they span the window.
 const BINS: usize = 64;
 const WINDOW: Span = Span::from_millis(3_600_000);
 /// The width of the bins is doubled at most this often: from 220 ms to 56 s.
@@ -30,13 +30,13 @@ const FIRST_BIN_NANOS: i64 = (WINDOW.as_nanos() / 64) >> DOUBLINGS_MAX;
 /// One exchange of timestamps with a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
-    /// The robot's clock minus the server's, if both directions took the same time.
+    /// The robot's clock minus the server's, assuming that both directions took the same time.
     pub offset: Span,
     /// Round trip without the robot's processing time.
     pub delay: Span,
-    /// The minimum offset at `at`: the answer travelled for at least zero time.
+    /// The lower bound of the offset at `at`. It is reached if the answer took no time to travel.
     pub lower: Span,
-    /// The maximum offset at `sent`: the question travelled for at least zero time.
+    /// The upper bound of the offset at `sent`. It is reached if the question took no time to travel.
     pub upper: Span,
     /// The time at which the server sent the question.
     pub sent: Timestamp<Server>,
@@ -69,15 +69,15 @@ impl ClockSample {
     }
 }
 
-/// The resolution of two timestamps of a robot. Many robots write milliseconds or microseconds. On a fast link, the resolution is longer
-/// than the travel time.
+/// Returns the resolution of two timestamps of a robot: 1 ms, 1 µs or 1 ns. Many robots write milliseconds or microseconds. On a fast
+/// link, this resolution is longer than the travel time.
 #[must_use]
 pub fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
     let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
     Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in).unwrap_or(1))
 }
 
-/// A lower or upper bound of the offset at an instant.
+/// A lower or upper bound of a clock's offset at an instant.
 #[derive(Clone, Copy, Debug)]
 struct Bound {
     at: Timestamp<Server>,
@@ -89,17 +89,17 @@ impl Bound {
         self.value + Span::from_millis_f64((now - self.at).as_millis_f64() * rate)
     }
 
-    /// The value of this lower bound at another instant.
+    /// Returns the value of this lower bound at `now`, if the offset drifts at a rate within `rates`.
     fn least(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).min(self.drifted(now, rates.most))
     }
 
-    /// The value of this upper bound at another instant.
+    /// Returns the value of this upper bound at `now`, if the offset drifts at a rate within `rates`.
     fn most(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).max(self.drifted(now, rates.most))
     }
 
-    /// The mean rate since `earlier`, if both bounds were the offset itself.
+    /// Returns the mean drift rate since `earlier`, if both bounds equalled the offset itself. `None` if no time has passed.
     fn rate_since(self, earlier: Self) -> Option<f64> {
         let time = (self.at - earlier.at).as_millis_f64();
         (time > 0.0).then(|| (self.value - earlier.value).as_millis_f64() / time)
@@ -126,7 +126,7 @@ impl Rates {
     }
 }
 
-/// The tightest lower bound and the tightest upper bound of several exchanges, each possibly from a different exchange.
+/// The tightest lower bound and the tightest upper bound from several exchanges. The two bounds may come from different exchanges.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     lower: Bound,
@@ -140,7 +140,7 @@ impl Bounds {
         Self { lower: Bound { at: sample.at, value: lower }, upper: Bound { at: sample.sent, value: upper } }
     }
 
-    /// Keeps the tighter bound of each kind at `now`.
+    /// Replaces each bound by that of `other` if the latter is tighter at `now`.
     fn tighten(&mut self, other: Self, now: Timestamp<Server>, rates: Rates) {
         if other.lower.least(now, rates) >= self.lower.least(now, rates) {
             self.lower = other.lower;
@@ -171,11 +171,12 @@ impl Interval {
     }
 }
 
-/// The estimate of a robot's clock and link from the exchanges so far: the intersection of all their bounds.
+/// The estimate of a robot's clock and link from the exchanges so far. The clock's offset lies within the intersection of all their
+/// bounds.
 #[derive(Clone, Debug, Default)]
 pub struct ClockEstimate {
-    /// Bounds of all exchanges since the last step. Any drift within the bound keeps the order of two bounds, so one of each kind is
-    /// enough.
+    /// The tightest bounds of all exchanges since the clock was last set. Drift within [`DRIFT_BOUND`] never changes which of two bounds
+    /// is tighter, so one lower and one upper bound are enough.
     bounds: Option<Bounds>,
     history: History,
     latest: Option<Timestamp<Server>>,
@@ -201,7 +202,7 @@ pub struct ClockReading {
     /// The longest of all round trips.
     #[serde(rename = "delay_max_ms")]
     pub delay_max: Span,
-    /// The current duration of round trips without isolated outliers, from which times are computed. Unlike `delay_max`, it forgets old
+    /// The round trip on which the mission bases its waiting times. It leaves out isolated outliers and, unlike `delay_max`, forgets old
     /// round trips.
     #[serde(rename = "delay_high_ms")]
     pub delay_high: Span,
@@ -209,7 +210,7 @@ pub struct ClockReading {
     pub samples: u32,
     /// The number of exchanges that contradicted earlier ones: a clock was set, or is wrong.
     pub steps: u32,
-    /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
+    /// How fast the robot's clock gains on the server's; `None` until the exchanges span enough time.
     #[serde(flatten)]
     pub drift: Option<Drift>,
 }
@@ -225,7 +226,8 @@ pub enum ClockDoubt {
 }
 
 impl ClockDoubt {
-    /// The doubt about an offset with this uncertainty. The clock is certainly off if the interval excludes zero.
+    /// Returns the reason to doubt an offset with this uncertainty. It is the clock, which is certainly off, if the uncertainty interval
+    /// excludes zero; otherwise, it is the path.
     #[must_use]
     pub fn of(offset: Span, uncertainty: Span) -> Self {
         if offset.abs() > uncertainty { Self::Clock } else { Self::Path }
@@ -233,7 +235,7 @@ impl ClockDoubt {
 }
 
 impl ClockReading {
-    /// The dominant cause of a reading that is too bad for a start: the clock's offset or the path's uncertainty.
+    /// Returns the main reason why a reading is too bad for a start: the clock's offset, or the uncertainty of the path.
     #[must_use]
     pub fn doubt(&self) -> ClockDoubt {
         ClockDoubt::of(self.offset, self.uncertainty)
@@ -252,7 +254,7 @@ pub struct Drift {
 }
 
 impl ClockEstimate {
-    /// Adds an exchange. If it contradicts the earlier ones, they are discarded: only the new one certainly reflects the current clock.
+    /// Adds an exchange. If it contradicts the earlier ones, those are discarded: only the new one certainly reflects the current clock.
     pub fn add(&mut self, sample: ClockSample) {
         self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
@@ -279,35 +281,36 @@ impl ClockEstimate {
         self.history.add(new, now);
     }
 
-    /// Number of exchanges so far.
+    /// Returns the number of exchanges so far.
     #[must_use]
     pub const fn samples(&self) -> u32 {
         self.samples
     }
 
-    /// The number of exchanges that contradicted earlier ones.
+    /// Returns the number of exchanges that contradicted earlier ones.
     #[must_use]
     pub const fn steps(&self) -> u32 {
         self.steps
     }
 
-    /// The estimate as of the latest exchange, or `None` before the first.
+    /// Returns the estimate as of the latest exchange, or `None` before the first.
     #[must_use]
     pub fn reading(&self) -> Option<ClockReading> {
         self.latest.and_then(|at| self.reading_at(at))
     }
 
-    /// The round trip that is rarely exceeded; zero before the first exchange.
+    /// Returns the round trip time that is rarely exceeded; zero before the first exchange.
     pub(crate) const fn delay_high(&self) -> Span {
         self.round_trips.high()
     }
 
-    /// Whether there were enough exchanges to distinguish an isolated long round trip from usual ones.
+    /// Whether there were enough exchanges to distinguish an isolated long round trip from the usual ones.
     pub(crate) fn tells_outliers(&self) -> bool {
         self.round_trips.tell_outliers()
     }
 
-    /// The estimate extrapolated to `now` by the drift, if known, with growing uncertainty.
+    /// Returns the estimate extrapolated to `now` by the drift, if known, with correspondingly larger uncertainty. `None` before the
+    /// first exchange.
     #[must_use]
     pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {
         let all = self.bounds?.interval(now, Rates::ANY);
@@ -327,17 +330,19 @@ impl ClockEstimate {
     }
 }
 
-/// Bounds over the window, from which the drift is computed. At most [`BINS`] bins, whatever the number of exchanges.
+/// The bounds from the exchanges of the last hour, from which the drift is computed. They are collected in at most [`BINS`] bins, however
+/// many exchanges there are.
 #[derive(Clone, Debug)]
 struct History {
     bins: VecDeque<Bin>,
     doublings: u32,
-    /// The range in which the mean rate from any bin to any later one lies.
+    /// The range in which the mean drift rate from any bin to any later one lies.
     means: Rates,
     narrowest: Option<Narrowest>,
 }
 
-/// The tightest bounds of the bins as long as the rates stay the same. They remain the tightest at any later instant.
+/// The tightest bounds among all bins at the current drift rates. As long as the rates stay the same, these bounds remain the tightest at
+/// any later instant.
 #[derive(Clone, Copy, Debug)]
 struct Narrowest {
     rates: Rates,
@@ -345,7 +350,7 @@ struct Narrowest {
     since: Timestamp<Server>,
 }
 
-/// The tightest bounds of the exchanges in one bin of time; `index` is the number of the bin.
+/// The tightest bounds of the exchanges in one time bin; `index` is the number of the bin.
 #[derive(Clone, Copy, Debug)]
 struct Bin {
     index: i64,
@@ -415,7 +420,7 @@ impl History {
         }
     }
 
-    /// The range of the mean rate from one bin to a later one.
+    /// Returns the range of the mean drift rate from one bin to a later one.
     fn mean(&self, earlier: usize, later: usize) -> Rates {
         let (earlier, later) = (self.bins[earlier].bounds, self.bins[later].bounds);
         Rates {
@@ -424,8 +429,8 @@ impl History {
         }
     }
 
-    /// The range of the current rate, once it is known well. Wherever in the window a mean was measured, no rate in the window differs
-    /// from it by more than [`DRIFT_WANDER`].
+    /// Returns the range of the current drift rate; `None` until it is known well. No rate in the window differs by more than
+    /// [`DRIFT_WANDER`] from a mean rate measured anywhere in the window.
     fn rates(&self) -> Option<Rates> {
         let Rates { least, most } = self.means;
         let rates = Rates { least: least - DRIFT_WANDER, most: most + DRIFT_WANDER }.and(Rates::ANY);
@@ -440,7 +445,7 @@ impl History {
         })
     }
 
-    /// The part of an interval within the bounds of the window, which are extrapolated to `now` by the drift.
+    /// Returns the part of an interval that lies within the bounds of the window. These bounds are extrapolated to `now` by the drift.
     fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
         let Some(rates) = self.rates() else { return interval };
         if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
@@ -453,7 +458,7 @@ impl History {
 /// The server's clock relative to NTP during a mission.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct NtpState {
-    /// NTP time minus the server's clock. The clock was set to NTP time when it was anchored, so this is the change since then.
+    /// NTP time minus the server's clock. The server's clock was set to NTP time at first, so this is the change since then.
     #[serde(rename = "offset_change_ms")]
     pub offset_change: Span,
     /// The true change differs from `offset_change` by at most this, if the NTP server is right; `None` before the first answer.
@@ -464,7 +469,7 @@ pub struct NtpState {
     pub drift: Option<Drift>,
     /// The number of times that NTP time contradicted itself: the NTP server was set, or is wrong.
     pub steps: u32,
-    /// The time since which the NTP server has not answered, if it has left several questions unanswered.
+    /// The time since which the NTP server has not answered; `None` unless it has left several questions unanswered.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lost_since: Option<Timestamp<Server>>,
 }

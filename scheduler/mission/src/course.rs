@@ -15,7 +15,7 @@ use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
 use super::{Action, Mission, Outcome, Phase, Progress};
 
-/// The maximum number of rows in all reports of acts that are kept.
+/// The maximum number of rows in all kept reports of acts together. A row is one robot in one act.
 const ROWS_KEPT: usize = 20_000;
 
 impl Mission {
@@ -71,7 +71,8 @@ impl Mission {
         }
     }
 
-    /// Performs the actions of an act in order, as long as the mission performs.
+    /// Performs the actions of an act in order. While the mission does not play acts, only failures and reports to the operator are
+    /// processed.
     pub(super) fn carry_out(&mut self, now: Timestamp<Server>, number: u32, actions: Vec<ActAction>) {
         for action in actions {
             if matches!(self.phase, Phase::Ended) {
@@ -118,7 +119,7 @@ impl Mission {
         self.go_way(now, way);
     }
 
-    /// Queues the following act in time, and ends the mission after the last one.
+    /// Queues the next act once the current act is committed or over, unless another act is already queued.
     fn line_up(&mut self, now: Timestamp<Server>) {
         let [last] = self.acts.as_slice() else { return };
         if !(last.is_committed() || last.is_over()) || !self.may_begin_another() {
@@ -131,8 +132,8 @@ impl Mission {
         }
     }
 
-    /// Makes the mission continue with another act after a failure. An act that waits behind the playing one, and was not sent, is
-    /// removed.
+    /// Makes the mission continue with another act after a failure. An act that waits for the playing one to end is removed, unless it
+    /// was sent.
     pub(super) fn lead_elsewhere(&mut self, act: usize) {
         self.detour = Some(act);
         if let [.., _, waiting] = self.acts.as_slice()
@@ -143,7 +144,7 @@ impl Mission {
         }
     }
 
-    /// Continues the mission after an act that has ended without a following one.
+    /// Continues the mission after an act has ended while no other act is queued.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
         let way = self.detour.take().map_or(follow, Way::Act);
         self.go_way(now, way);
@@ -176,7 +177,7 @@ impl Mission {
         self.end();
     }
 
-    /// The outcome of a mission that finished.
+    /// Returns the outcome of a mission that has played its last act.
     fn outcome_at_the_end(&self) -> Outcome {
         let never_joined = |robot: &RobotState| {
             robot.failures.iter().any(|f| matches!(f.kind, FailureKind::NeverJoined { .. }))
@@ -208,7 +209,7 @@ impl Mission {
         self.line_up_attempt(now, index, 0, start.map(|fixed| fixed.at));
     }
 
-    /// Like `line_up_act`, after this number of withdrawn attempts and with this fixed start.
+    /// Like `line_up_act`, but for an act that was already withdrawn `attempts` times, and with the fixed start `start`, if any.
     pub(super) fn line_up_attempt(
         &mut self,
         now: Timestamp<Server>,
@@ -261,7 +262,7 @@ impl Mission {
         }
     }
 
-    /// The act to which a go applies now, or the reason why a go is ignored.
+    /// Returns the act to which a go applies now, or the reason why a go is ignored.
     fn awaits_go(&self, named: Option<&str>) -> Result<usize, String> {
         let known = |name: &str| {
             (0..self.choreography.acts.len()).any(|act| act_name(&self.choreography, act) == name)
@@ -286,7 +287,7 @@ impl Mission {
         }
     }
 
-    /// The reason why no go is accepted now, although the mission performs.
+    /// Returns the reason, for users, why the operator's go is ignored although the mission performs acts.
     fn why_no_go(&self, named: Option<&str>) -> String {
         let behind = self.acts.windows(2).find(|acts| acts[1].awaits_operator());
         match (behind, named) {
@@ -298,7 +299,7 @@ impl Mission {
         }
     }
 
-    /// Closes all acts in any stage.
+    /// Closes all acts, whatever their stage.
     pub(super) fn close_all(&mut self, now: Timestamp<Server>) {
         while !self.acts.is_empty() {
             self.close_act(now, 0);
@@ -377,14 +378,15 @@ impl Mission {
         self.moved_before || self.fates.iter().any(|act| act.moved)
     }
 
-    /// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is unknown.
-    /// A robot that does not report also moves, as early as its clock permits.
+    /// Whether robots may have begun to play an act: they have reported it, or its earliest start has passed and the fate of a script is
+    /// unknown. A robot that does not report may also have moved, as early as its clock permits.
     pub(super) fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
         let is_due = act.timing().is_some_and(|timing| now >= timing.earliest_start());
         act.has_begun() || is_due && self.may_begin_unheard(act)
     }
 
-    /// Whether a script whose fate is unknown may begin. A robot that drops undecided scripts begins none before the commitment.
+    /// Whether a script whose fate is unknown may begin. If a robot drops the scripts of an undecided act by itself, none of them begins
+    /// before the commitment.
     fn may_begin_unheard(&self, act: &Act) -> bool {
         let unaccounted = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
         let begins = |member: &Member| act.is_committed() || !self.robots[member.robot].drops_undecided();
@@ -417,7 +419,7 @@ impl Mission {
         self.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
     }
 
-    /// Notes the flaws of an act that ended here or before another process died.
+    /// Notes the flaws of an act that ended in this process, or in an earlier one that died. Flaws change the outcome of the mission.
     pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
         if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
             self.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });

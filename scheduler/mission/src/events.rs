@@ -12,7 +12,7 @@ use super::robot_state::Rest;
 use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::clock::NtpState;
 
-/// An event outside the mission.
+/// An event outside the mission, which the driver passes to it.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A link to a robot was made.
@@ -20,7 +20,7 @@ pub enum Event {
         /// Index of the robot.
         robot: usize,
     },
-    /// A robot has proven its identity, on the link that is made next.
+    /// A robot has proven its identity. [`Event::LinkUp`] follows for the link on which it did so.
     Proven {
         /// Index of the robot.
         robot: usize,
@@ -64,11 +64,11 @@ pub enum Event {
         /// The operator who sent the go, for users, if another operator started the mission.
         by: Option<String>,
     },
-    /// A report of the current state of this machine's clock according to NTP.
+    /// The current state of this machine's clock relative to NTP time.
     ServerTime(NtpState),
     /// The first `count` durable records of this mission are on disk. A driver without a journal sends this event at once.
     Recorded {
-        /// The number of records, counted from 1.
+        /// The number of durable records that are on disk.
         count: u64,
     },
     /// The journal was removed or replaced, and all of it has been written again.
@@ -87,7 +87,7 @@ pub enum Loss {
     Closed,
     /// The connection was refused: no process listens at the address.
     Refused,
-    /// One side has not proven its identity, or is not admitted. Another attempt changes nothing.
+    /// One side has not proven its identity, or is not admitted. Another attempt would not help.
     Denied,
     /// No route, no answer in time, or any other loss that does not show whether the robot is alive.
     Unreachable,
@@ -133,7 +133,7 @@ pub enum Action {
 #[serde(tag = "progress", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Progress {
-    /// All links are connected.
+    /// The links to all robots have been established.
     Connected {
         /// Number of robots.
         robots: usize,
@@ -162,13 +162,13 @@ pub enum Progress {
         act: String,
         /// The sending timestamp that all requests share.
         timestamp: Timestamp<Server>,
-        /// The start of the first cue.
+        /// The planned start of the act, at its first cue.
         start: Timestamp<Server>,
-        /// The components of the lead time.
+        /// The components of the lead time, from sending the requests to the start.
         lead: LeadTime,
-        /// How far apart the robots may start.
+        /// How far apart the robots may start because of their clocks.
         skew: Option<SkewBudget>,
-        /// The robot whose link determines the lead.
+        /// The robot whose slow link determines the lead time.
         #[serde(skip_serializing_if = "Option::is_none")]
         slowest: Option<RobotId>,
     },
@@ -181,29 +181,30 @@ pub enum Progress {
     Decided {
         /// Name of the act.
         act: String,
-        /// The start of the first cue.
+        /// The planned start of the act, at its first cue.
         start: Timestamp<Server>,
         /// The playing time of the act.
         #[serde(rename = "duration_ms")]
         duration: Span,
         /// The time at which all leases end, unless the act is committed.
         leases_end: Timestamp<Server>,
-        /// The latest time at which a known failure can be withdrawn before anything has moved. Later, only stopping is possible.
+        /// The latest time at which the act can be withdrawn after a failure before anything has moved. Later, robots can only be
+        /// stopped.
         no_return: Timestamp<Server>,
-        /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
+        /// The length of the interval before the start in which a robot's sudden silence may be noticed too late to prevent the start.
         #[serde(rename = "doubt_ms")]
         doubt: Span,
     },
-    /// All robots have confirmed the renewal that extends their leases beyond the start.
+    /// All robots have confirmed the message that extends their leases beyond the start.
     Committed {
         /// Name of the act.
         act: String,
-        /// Time between sending the first renewal and the last confirmation. If this machine had died during this time, only some robots
-        /// would have started.
+        /// Time from sending the first message that extends a lease beyond the start to the last confirmation. If this machine had died
+        /// during this time, only some robots would have started.
         #[serde(rename = "window_ms")]
         window: Option<Span>,
     },
-    /// A device's script has started.
+    /// A script of a device has started.
     Started {
         /// Id of the robot.
         robot: RobotId,
@@ -261,7 +262,7 @@ pub enum Progress {
         robot: RobotId,
         /// The reason why the link broke, as text for users.
         reason: String,
-        /// The time at which the mission gives up the robot; `None` if the robot holds nothing that could still move it.
+        /// The time at which the mission gives up on the robot; `None` if the robot holds nothing that could still move it.
         until: Option<Timestamp<Server>>,
     },
     /// A robot has reconnected.
@@ -273,7 +274,7 @@ pub enum Progress {
     GoingHome {
         /// The name of the act.
         act: String,
-        /// The choreography with this act. Recordings leave it out.
+        /// The choreography that contains this act. Recordings omit it.
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
@@ -285,7 +286,7 @@ pub enum Progress {
         act: String,
         /// The name of the act that follows the failure.
         to: String,
-        /// The choreography with this act. Recordings leave it out.
+        /// The choreography that contains this act. Recordings omit it.
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
@@ -313,7 +314,7 @@ pub enum Progress {
     },
     /// The NTP server answers again.
     NtpBack {
-        /// The change between NTP time and this machine's clock since the mission began.
+        /// How much the difference between NTP time and this machine's clock has changed since the mission began.
         #[serde(rename = "offset_change_ms")]
         offset_change: Span,
     },
@@ -345,7 +346,7 @@ pub struct TakenReading {
     pub robot: RobotId,
     /// Id of the sensor.
     pub sensor: DeviceId,
-    /// The time of the request, from the act's start.
+    /// The planned time of the request for the reading, counted from the act's start.
     #[serde(rename = "at_ms")]
     pub at: Span,
     /// The value; `None` without a reading.

@@ -1,4 +1,5 @@
-//! Accepts only valid answers of a robot: each valid answer answers an open question once, with possible times.
+//! Accepts only valid answers of a robot. A valid answer belongs to a question that is still open, answers it only once, and contains
+//! possible times.
 //!
 //! The times in an answer decide how long all robots wait for each other. An answer to a question that was never asked could contain any
 //! instant.
@@ -9,9 +10,9 @@ use urrcp::{Robot, Server, Span, Timestamp};
 
 use crate::clock::{ClockSample, resolution};
 
-/// Number of questions that are remembered. More are open only on a stalled link; then the newest are kept.
+/// The maximum number of open questions that are remembered. Only a stalled link has more; then the newest are kept.
 const OPEN_MAX: usize = 1_024;
-/// No answer to a question is expected after this time.
+/// A question that is still unanswered after this time is forgotten.
 const OPEN_FOR: Span = Span::from_millis(60_000);
 
 /// The questions to one robot that it has not answered.
@@ -36,7 +37,7 @@ pub(crate) struct Times {
 }
 
 impl Exchanges {
-    /// Notes that a question is sent, in `messages` messages.
+    /// Notes that a question is sent at `now`, in `messages` messages.
     pub(crate) fn asked(&mut self, now: Timestamp<Server>, messages: usize) {
         match self.open.back_mut().filter(|(at, _)| *at == now) {
             Some((_, open)) => *open += messages,
@@ -48,8 +49,8 @@ impl Exchanges {
     }
 
     /// Processes an answer. Returns `None` if it answers no open question or its times are impossible; such an answer is counted and
-    /// ignored. An answer that repeats no sending time answers the oldest question, so that nothing that was sent later is considered
-    /// received.
+    /// ignored. If an answer does not repeat its question's sending time, it is assigned to the oldest question. A question that was sent
+    /// later is then not wrongly considered received.
     pub(crate) fn answered(&mut self, times: Times) -> Option<ClockSample> {
         let sample = self.settle(times.originate).and_then(|sent| plausible(sent, times));
         self.ignored += u64::from(sample.is_none());
@@ -70,7 +71,7 @@ impl Exchanges {
         Some(sent)
     }
 
-    /// The index of the open question that was sent at this instant, within the resolution of the robot's clock.
+    /// Returns the index of the open question that was sent at `originate`, within the resolution of the robot's clock.
     fn place_of(&self, originate: Timestamp<Server>) -> Option<usize> {
         if let Ok(place) = self.open.binary_search_by_key(&originate, |(at, _)| *at) {
             return Some(place);
@@ -86,19 +87,19 @@ impl Exchanges {
         self.ignored += 1;
     }
 
-    /// Number of answers that matched no question, or whose times were impossible.
+    /// Returns the number of answers that matched no question, or whose times were impossible.
     pub(crate) const fn ignored(&self) -> u64 {
         self.ignored
     }
 
-    /// Discards the open questions, because none is answered on a new link.
+    /// Discards the open questions, because they cannot be answered on a new link.
     pub(crate) fn begin_again(&mut self) {
         self.open.clear();
     }
 }
 
-/// The clock sample of an exchange; `None` unless the robot's processing time is at least zero and at most the duration of the whole
-/// exchange.
+/// Returns the clock sample of an exchange, or `None` if its times are impossible. The robot's processing time must be at least zero, and
+/// at most the duration of the whole exchange.
 fn plausible(sent: Timestamp<Server>, times: Times) -> Option<ClockSample> {
     let Times { received, answered, arrived, .. } = times;
     let step = resolution(received, answered);
@@ -112,7 +113,7 @@ mod tests {
     use super::*;
     use crate::bench::{at, by_robot, ms};
 
-    /// The round trip of an answer with these times that arrives at `arrived`; `None` if it is ignored.
+    /// Returns the round trip of an answer with these times that arrives at `arrived`; `None` if the answer is ignored.
     fn answered(
         exchanges: &mut Exchanges,
         originate: Option<i64>,

@@ -23,28 +23,28 @@ pub struct ActReport {
     pub timestamp: Timestamp<Server>,
     /// The planned start.
     pub start: Timestamp<Server>,
-    /// The components of the lead time.
+    /// The components of the lead time, from sending the requests to the start.
     pub lead: LeadTime,
-    /// The robot whose link determines the lead.
+    /// The robot whose slow link determines the lead time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowest: Option<RobotId>,
     /// How much later than intended the act started. The intended start is the end of the previous act, or the time that the act waited
     /// for.
     #[serde(rename = "gap_ms")]
     pub gap: Option<Span>,
-    /// The spread of the starts that the clocks allowed, before the decision.
+    /// How far apart the robots could start according to their clocks, as known before the decision.
     pub skew: Option<SkewBudget>,
-    /// Largest minus smallest start error, by the robots' own clocks.
+    /// The robots' largest minus their smallest start error, by their own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
     /// The time that was left until the decision when the last acceptance arrived.
     #[serde(rename = "margin_left_ms")]
     pub margin_left: Option<Span>,
-    /// Time between sending the first renewal that extends a lease beyond the start and the last confirmation. If the scheduler had died
+    /// Time from sending the first message that extends a lease beyond the start to the last confirmation. If the scheduler had died
     /// during this time, only some robots would have started.
     #[serde(rename = "window_ms")]
     pub window: Option<Span>,
-    /// The interval before the start in which a robot that went silent without notice may not have been noticed in time.
+    /// The length of the interval before the start in which a robot's sudden silence could be noticed too late to prevent the start.
     #[serde(rename = "doubt_ms")]
     pub doubt: Span,
     /// How often the act was withdrawn before anything moved, and prepared again, because this machine was too slow.
@@ -53,10 +53,10 @@ pub struct ActReport {
     /// The readings that the scenario requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
-    /// The starts of motions; empty if they were not verified.
+    /// The starts of motions, as verified with sensors; empty if they were not verified.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionReport>,
-    /// The spread of the verified motions.
+    /// How far apart the verified motions started, relative to their plans.
     #[serde(rename = "motion", skip_serializing_if = "Option::is_none")]
     pub motion_spread: Option<MotionSpread>,
     /// The results of each robot, in the order of the plan.
@@ -142,7 +142,7 @@ pub struct DeviceReport {
 }
 
 impl ActReport {
-    /// The report of an act; `None` if the act was not sent.
+    /// Returns the report of an act; `None` if the act was not sent.
     pub(super) fn new(act: &Act, robots: &[RobotState]) -> Option<Self> {
         let timing = act.timing()?;
         let robot = |member: &Member| ActRobot {
@@ -174,7 +174,7 @@ impl ActReport {
 }
 
 impl ActReport {
-    /// Adds the scripts of a robot to the robot's totals, for an act that ended before this process resumed the mission.
+    /// Adds the results of a robot's scripts to `totals`. Used for an act that ended before this process resumed the mission.
     pub(super) fn add_to(&self, totals: &mut Totals, robot: &ActRobot) {
         use DeviceState::{Accepted, Ended, Failed, Planned, Sent, Started, Unknown};
         let all_accepted = self.margin_left.is_some();
@@ -198,20 +198,20 @@ impl ActReport {
         }
     }
 
-    /// The largest start error of a script, by its robot's own clock. Robots that were left out are not included.
+    /// Returns the largest start error of a script, by its robot's own clock. Robots that were left out are not included.
     pub(super) fn off_plan(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.start_error).map(Span::abs).max()
     }
 
-    /// The largest lateness of a step, among the robots that were not left out.
+    /// Returns the largest lateness of a step, among the robots that were not left out.
     pub(super) fn late_max(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.late_max).max()
     }
 }
 
-/// The spread of the simultaneous starts: the largest minus the smallest start error of the first scripts of devices.
+/// Returns how far apart devices started, relative to their plans: the largest minus the smallest start error of their first scripts.
 pub(super) fn spread<'a>(act: &Act, members: impl Iterator<Item = &'a Member>) -> Option<Span> {
     let errors = |member: &'a Member| {
         let firsts = member.firsts();

@@ -11,7 +11,7 @@ use super::robot_state::{Link, Lost, Rest, Standing};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress};
 
-/// During the greeting, a robot that refuses connections may still be starting up for this long.
+/// How long, during the greeting, a robot that refuses connections may still be starting up.
 const STARTS_WITHIN: Span = Span::from_millis(500);
 
 impl Mission {
@@ -76,7 +76,8 @@ impl Mission {
         }
     }
 
-    /// Reconnects, during the greeting, to a robot that was reached before or may still be starting up, as long as the patience permits.
+    /// During the greeting, reconnects to a robot that was reached before or may still be starting up. After the mission's patience has
+    /// ended, the robot fails instead.
     fn link_down_in_greeting(
         &mut self,
         now: Timestamp<Server>,
@@ -98,7 +99,7 @@ impl Mission {
         }
     }
 
-    /// Reconnects to a robot, one attempt at a time.
+    /// Reconnects to a robot, unless an attempt is already under way.
     pub(super) fn reconnect(&mut self, robot: usize) {
         let state = &mut self.robots[robot];
         let to_be_stopped = state.awaits_stop();
@@ -111,15 +112,15 @@ impl Mission {
         }
     }
 
-    /// Replaces a pending attempt to reconnect, which may still be pausing, with an immediate one.
+    /// Replaces a pending attempt to reconnect, which may still wait for its pause to end, with an immediate attempt.
     pub(super) fn reconnect_at_once(&mut self, robot: usize) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
             self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
     }
 
-    /// Handles a broken link. The robot continues with its script as far as its lease permits. It may come back until its scripts have
-    /// certainly ended. If connections are refused, no process of the robot runs, and its scripts have ended.
+    /// Handles a broken link. The robot continues with its script as far as its lease permits. It may reconnect until its scripts have
+    /// certainly ended. If it refuses connections, its process no longer runs, and its scripts have ended.
     fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
         self.reconnect(robot);
         let gone = self.robots[robot].is_gone();
@@ -164,7 +165,7 @@ impl Mission {
         self.robots.iter().filter_map(|robot| robot.lost()?.give_up).min()
     }
 
-    /// Handles a new link: asks the robot for missed reports. The question also renews the leases.
+    /// Handles a new link: asks the robot for the reports that this process has missed. The question also renews the leases.
     pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
@@ -187,7 +188,8 @@ impl Mission {
         }
     }
 
-    /// Sends the deferred scripts: the robot has answered on its new link, and its clock is the one by which its scripts were translated.
+    /// Sends the scripts that were deferred until the robot has answered on its new link. The robot's clock is now known to be the one by
+    /// which its scripts were converted.
     pub(super) fn catch_up(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if self.phase != Phase::Performing || state.standing != Standing::In || state.stop_was_sent() {
@@ -199,8 +201,8 @@ impl Mission {
         self.refill(now, robot);
     }
 
-    /// Notes the first message from a robot on a new link, and reports that the robot is back. For an absent robot, this is reported when
-    /// it joins.
+    /// Notes the first message from a robot on a new link, and reports that the robot is back. For a robot that was absent so far, this
+    /// is reported when it joins.
     pub(super) fn is_back(&mut self, robot: usize) {
         self.give_up = self.earliest_give_up();
         if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
@@ -229,12 +231,12 @@ impl Mission {
         }
     }
 
-    /// Notes the failure of a robot and applies the policy.
+    /// Notes the failure of a robot, and applies the scenario's policy for failures.
     pub(super) fn fail(&mut self, now: Timestamp<Server>, robot: usize, kind: FailureKind) {
         self.fail_all(now, vec![(robot, kind)]);
     }
 
-    /// Notes all failures of one instant before any of them has consequences.
+    /// Notes all failures of one instant, and only then applies the scenario's policy for failures.
     pub(super) fn fail_all(&mut self, now: Timestamp<Server>, failing: Vec<(usize, FailureKind)>) {
         let out = |mission: &Self, robot: usize| mission.robots[robot].standing == Standing::Out;
         let failing: Vec<_> = failing.into_iter().filter(|(robot, _)| !out(self, *robot)).collect();
@@ -273,7 +275,7 @@ impl Mission {
         }
     }
 
-    /// Applies the strictest policy of the failed robots: stop, then home, then continuing without them.
+    /// Applies the strictest policy among the failed robots. From strict to lenient: stop, go home, continue without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
         if self.acts.is_empty() {
             let reason = self.reason_of(robots);
@@ -304,8 +306,8 @@ impl Mission {
         }
     }
 
-    /// The scenario's policy for a failure of this robot: the policy of the newest act in which the robot takes part, and the act that
-    /// follows the failure.
+    /// Returns the scenario's policy for a failure of this robot, and the act that follows the failure, if any. The policy is that of the
+    /// newest act in which the robot takes part.
     pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
         let takes_part =
             |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();
@@ -324,7 +326,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
-    /// The reason of a failure for users: the latest failure of the first of these robots, and the number of the other robots.
+    /// Describes a failure for users: the latest failure of the first of these robots, and the number of the other robots.
     fn reason_of(&self, robots: &[usize]) -> String {
         let failed = |robot: &usize| self.robots[*robot].failures.last();
         match robots.iter().find_map(failed) {

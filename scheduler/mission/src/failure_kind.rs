@@ -1,4 +1,4 @@
-//! The ways in which a robot fails a mission.
+//! The ways in which a robot can fail in a mission.
 
 use downbeat_fleet::sensor_range::SensorRange;
 use serde::{Deserialize, Serialize, Serializer};
@@ -100,7 +100,7 @@ pub enum FailureKind {
         /// The difference between the description and the plan.
         reason: String,
     },
-    /// The robot's link is too slow for a script for which its device initially has no room.
+    /// The robot's link is too slow for a script that must be sent while the act plays, because its device initially has no room for it.
     #[error(
         "script {} of `{device}`{} cannot be sent in time: the robot has room for it only {} before its start, but sending takes {needed}; use fewer steps, or a robot that holds more scripts (`script_queue`)",
         script + 1, act.as_ref().map(|act| format!(" in act `{act}`")).unwrap_or_default(), (*time).max(Span::ZERO)
@@ -112,14 +112,14 @@ pub enum FailureKind {
         act: Option<String>,
         /// Index of the script among the scripts of this device in this act, starting at 0.
         script: usize,
-        /// How long before the script's start the device has room for it; negative if only after that start.
+        /// How long before the script's start the device has room for it; negative if it has room only after that start.
         #[serde(rename = "time_ms")]
         time: Span,
-        /// The minimum time for a round trip and the robot's processing.
+        /// The minimum time to send the script: a round trip and the robot's processing.
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
-    /// The robot's clock is further off than the scenario tolerates, or not known well enough.
+    /// The robot's clock is further off than the scenario tolerates, or is not known precisely enough.
     #[error("{}", clock_text(*offset, *uncertainty, *tolerance))]
     Clock {
         /// The robot's clock minus the server's.
@@ -138,7 +138,7 @@ pub enum FailureKind {
          `downbeat calibrate`, or raise start_tolerance"
     )]
     LatencySpread {
-        /// 95 % of the motions begin within the latency ± this time.
+        /// 95 % of the motions begin within the device's latency ± this time.
         #[serde(rename = "spread_ms")]
         spread: Span,
         /// The scenario's `start_tolerance`.
@@ -155,7 +155,7 @@ pub enum FailureKind {
         /// The range that the fleet file requires.
         range: SensorRange,
     },
-    /// A device is at a position that its first keyframe does not expect.
+    /// A device is not at the position at which its first keyframe expects it.
     #[error(
         "device `{device}` is at {reading}, {}",
         match act {
@@ -200,7 +200,7 @@ pub enum FailureKind {
     },
 }
 
-/// The cause of a link that is too slow.
+/// The reason why a robot's link is too slow, with the measured and the permitted value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "slow", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -208,14 +208,14 @@ pub enum Slow {
     /// The robot's round trips are too long.
     #[error("a round trip takes {round_trip}, expected at most {longest}")]
     RoundTrip {
-        /// The round trip that the robot's link nearly always keeps.
+        /// The round trip of the robot's link, without rare outliers.
         #[serde(rename = "round_trip_ms")]
         round_trip: Span,
         /// The longest accepted round trip.
         #[serde(rename = "longest_ms")]
         longest: Span,
     },
-    /// The lease before the start that the act would need because of the link is too long.
+    /// Because of the robot's link, the act would need too long a lease before its start.
     #[error(
         "the act would need a lease of {lease} before the start, but at most {longest} is possible: a round trip takes {round_trip}, and the robot's clock may start it {early} early or {late} late"
     )]
@@ -238,7 +238,7 @@ pub enum Slow {
     },
 }
 
-/// A hint for users if a program never identifies itself: it may not be a robot.
+/// Returns a hint for users about a program that never identifies itself: it may not be a robot.
 fn remedy_of_silence(awaited: &str) -> &'static str {
     match awaited {
         "initialization block" => "; check that the program at its address is a robot that speaks URRCP",
@@ -255,7 +255,7 @@ fn remedy_of_busy(error: &ControlError) -> &'static str {
     }
 }
 
-/// Text for users that names the cause: NTP for a clock that is off, the link for a clock that is only poorly known.
+/// Returns a text for users that names the cause: NTP for a clock that is off, the link for a clock that is only poorly known.
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
     match ClockDoubt::of(offset, uncertainty) {
         ClockDoubt::Clock => format!(
@@ -271,7 +271,7 @@ fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
 mod tests {
     use super::*;
 
-    /// The kind that follows `kind` in the enumeration. A new kind must be added here.
+    /// Returns an example of the kind that follows `kind` in the enumeration. A new kind must be added here.
     fn after(kind: Option<&FailureKind>) -> Option<FailureKind> {
         let text = String::new;
         let id = || RobotId::new("r").unwrap();

@@ -5,8 +5,8 @@ use std::ops::Deref;
 
 use super::failure_kind::Failure;
 
-/// The maximum number of failures that are kept per robot. Of further failures, only the first one of each kind and the number of the
-/// others are kept.
+/// The maximum number of failures that are kept per robot. Of further failures, only the first one of each kind is kept, and the others
+/// are counted.
 const KEPT_MAX: usize = 64;
 
 /// The failures of one robot, in order.
@@ -20,7 +20,7 @@ pub(crate) struct Failures {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Noted {
     Kept,
-    /// The failure was only counted.
+    /// The failure was only counted, not kept.
     Omitted,
 }
 
@@ -36,7 +36,7 @@ impl Failures {
         Noted::Kept
     }
 
-    /// Number of failures that were only counted and are not listed.
+    /// Returns the number of failures that were counted but not kept.
     pub(crate) const fn omitted(&self) -> u64 {
         self.omitted
     }

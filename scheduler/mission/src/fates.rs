@@ -32,7 +32,7 @@ pub enum ActFate {
     Withdrawn,
     /// The act was stopped after it had begun.
     Stopped,
-    /// The act's time is over, and none of its robots has reported its fate.
+    /// The act's planned end has passed, and no robot has reported whether it played the act.
     Unknown,
     /// The act was played to its end.
     Played,
@@ -60,14 +60,14 @@ impl ActCourse {
         self.fate = fate;
     }
 
-    /// Whether the act was to be played and was not, and the mission continued.
+    /// Whether the act was skipped: it was to be played and was not, and the mission continued.
     pub(crate) const fn was_skipped(&self) -> bool {
         matches!(self.fate, ActFate::TimedOut { .. } | ActFate::NobodyLeft)
     }
 }
 
 impl ActFate {
-    /// The fate of an act whose condition was not met in time.
+    /// Returns the fate of an act whose condition was not met in time.
     pub(super) fn timed_out(act: &Act) -> Self {
         let written = act.written();
         let awaited = match &written.wait {

@@ -1,4 +1,4 @@
-//! The current figures of a mission and of one of its robots, for external monitoring.
+//! The current status and counts of a mission and of one of its robots, for external monitoring.
 
 use urrcp::Span;
 
@@ -19,7 +19,7 @@ pub enum PhaseName {
     Ended,
 }
 
-/// The figures of one robot over all acts, including those under way.
+/// Status and counts of one robot over all acts, including those under way.
 #[derive(Clone, Debug)]
 pub struct RobotFigures {
     /// Whether the robot has a link.
@@ -28,7 +28,7 @@ pub struct RobotFigures {
     pub takes_part: bool,
     /// The estimate of the robot's clock, relative to the server's clock.
     pub clock: Option<ClockReading>,
-    /// The round trip that the robot's link nearly always keeps.
+    /// The round trip of the robot's link, without rare outliers.
     pub round_trip: Span,
     /// The counts of the robot's scripts and steps.
     pub totals: Totals,
@@ -37,7 +37,7 @@ pub struct RobotFigures {
 }
 
 impl Mission {
-    /// The figures of a robot by its index.
+    /// Returns the status and the counts of the robot with this index.
     #[must_use]
     pub fn figures_of(&self, robot: usize) -> RobotFigures {
         let state: &RobotState = &self.robots[robot];
@@ -56,7 +56,7 @@ impl Mission {
         }
     }
 
-    /// The numbers of acts that wait, that approach their start, and that play.
+    /// Returns how many acts wait, how many approach their start, and how many play, in this order.
     #[must_use]
     pub fn act_stages(&self) -> [u64; 3] {
         let mut stages = [0; 3];
@@ -72,7 +72,7 @@ impl Mission {
         stages
     }
 
-    /// The phase of the mission.
+    /// Returns the phase of the mission.
     #[must_use]
     pub const fn phase_name(&self) -> PhaseName {
         match self.phase {
@@ -83,7 +83,7 @@ impl Mission {
         }
     }
 
-    /// The number of rounds of questions that were so late that this machine must have stalled.
+    /// Returns the number of rounds of questions to the robots that were so late that this machine must have stalled.
     #[must_use]
     pub const fn rounds_held_up(&self) -> u64 {
         self.rounds_held_up

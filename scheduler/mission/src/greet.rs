@@ -1,5 +1,5 @@
-//! Performs steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then the sensor
-//! readings that the fleet file requires, and the positions of devices.
+//! Greets all robots at once, in steps 1 to 4 of the protocol: links, availability and clocks, initialization blocks. Then reads the
+//! sensors that the fleet file requires, and asks for the positions of devices.
 
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
@@ -18,16 +18,16 @@ use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_
 
 /// Number of timestamp exchanges with each robot before any decision.
 const CLOCK_SAMPLES: u32 = 8;
-/// The maximum time for which clocks are sampled further while the possible spread of the fleet exceeds the tolerance, or a link seems
-/// too slow.
+/// How long, at most, clocks are sampled further while the possible start spread of the fleet exceeds the tolerance, or a link seems too
+/// slow.
 const SAMPLING: Span = Span::from_millis(4_000);
 /// The age of a clock measurement after which the clock is checked again.
 const STALE: Span = Span::from_millis(500);
-/// Interval between checks whether a robot may be asked again. Questions are sent one at a time, because several would wait for each
+/// Interval between checks whether a robot may be asked again. Questions to a robot are sent one at a time: several would delay each
 /// other on a link that keeps the order of messages.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
-/// Whether a robot's answers take longer than any lease.
+/// Whether a robot's round trip is longer than the longest accepted one.
 fn is_too_slow(robot: &RobotState) -> bool {
     robot.standing == Standing::In && !robot.is_of_another() && robot.round_trip() > ROUND_TRIP_LONGEST
 }
@@ -111,7 +111,7 @@ impl Mission {
         }
     }
 
-    /// The reasons why a robot's own description does not allow the commands of an act.
+    /// Returns the reasons why a robot's own description does not allow the commands of an act.
     fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
@@ -147,7 +147,7 @@ impl Mission {
         self.send(now, robot, Message::ControlRequest(request));
     }
 
-    /// Processes a response if it answers a reading.
+    /// Processes a response if it answers a request for a sensor reading. Returns whether it does.
     pub(super) fn reading_taken(
         &mut self,
         now: Timestamp<Server>,
@@ -195,7 +195,7 @@ impl Mission {
         true
     }
 
-    /// Continues the greeting once every robot has answered or failed.
+    /// Once every robot has answered or failed, checks the robots and ends the greeting.
     pub(super) fn greeting_progress(&mut self, now: Timestamp<Server>) {
         if !matches!(self.phase, Phase::Greeting { .. }) {
             return;
@@ -248,8 +248,8 @@ impl Mission {
         }
     }
 
-    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`. This check is for
-    /// `handshake: skip`; otherwise each robot's own description decides.
+    /// Refuses robots that could start a script before the commitment, if the scenario requires `all_or_none: strict`. Used with
+    /// `handshake: skip`; otherwise, the robot's own description is checked.
     fn check_strictness(&mut self) {
         if self.options.greeting == Greeting::Full || self.choreography.requirements.all_or_none.is_none() {
             return;
@@ -261,8 +261,8 @@ impl Mission {
         }
     }
 
-    /// Samples clocks further as long as that may bring the possible spread of the fleet within the tolerance, or show that a robot is
-    /// slow only while thousands of others connect.
+    /// Continues to sample clocks as long as that may bring the possible start spread of the fleet within the tolerance. It may also show
+    /// that a robot was slow only while thousands of others connected. Returns whether the sampling continues.
     pub(super) fn still_sampling(&mut self, now: Timestamp<Server>) -> bool {
         if self.robots.iter().any(RobotState::has_failed) {
             return false;
@@ -301,8 +301,8 @@ impl Mission {
         }
     }
 
-    /// Asks a robot for its times again, unless an answer is pending. Otherwise, a network that duplicates answers would duplicate
-    /// questions.
+    /// Asks a robot for its times again, unless an answer is pending. If every answer caused a question, a network that duplicates
+    /// answers would also duplicate questions.
     pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
@@ -316,7 +316,7 @@ impl Mission {
         SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
     }
 
-    /// Refuses robots whose answers take longer than any lease, because the others would wait for them.
+    /// Refuses robots whose round trips are longer than the longest accepted one, because the others would wait for them.
     pub(super) fn check_links(&mut self) {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
@@ -328,7 +328,8 @@ impl Mission {
         }
     }
 
-    /// Refuses robots whose clock is certainly further off than the scenario tolerates, and those that cause the spread of the fleet.
+    /// Refuses robots whose clock is certainly further off than the scenario tolerates. Also refuses robots whose clocks make the
+    /// possible start spread of the fleet too large.
     pub(super) fn check_clocks(&mut self, now: Timestamp<Server>) {
         let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
@@ -417,7 +418,7 @@ impl Mission {
         self.greeting_progress(now);
     }
 
-    /// Lets a robot that was absent at first join, if permitted, after its greeting.
+    /// Adds a robot that was absent at first to the mission, once it has been greeted and if the options permit it.
     fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if state.clock.samples() < CLOCK_SAMPLES {
@@ -448,15 +449,16 @@ impl Mission {
     }
 }
 
-/// The failure of a robot in a scenario that requires `all_or_none: strict`.
+/// The reason why a robot is refused if the scenario requires `all_or_none: strict`.
 const NOT_STRICT_ENOUGH: &str = "the scenario requires `all_or_none: strict`, but the robot does not declare `pending_until` and `inquiry`";
-/// The maximum number of listed encodings per robot.
+/// The maximum number of encodings that a message lists per robot.
 const ENCODINGS_SHOWN: usize = 8;
 
-/// The maximum number of listed faults per robot. One robot with another unit would bury the others.
+/// The maximum number of faults that are listed per robot. Otherwise, a single robot with a wrong unit would bury the faults of the
+/// others.
 const UNFIT_SHOWN: usize = 12;
 
-/// The reasons why a robot's own description does not allow the commands of a script.
+/// Returns the reasons why a robot's own description does not allow the commands of a script.
 pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &InitializationBlock) -> Vec<String> {
     let id = &script.device;
     let Some(device) = block.device(id.as_str()) else {

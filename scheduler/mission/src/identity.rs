@@ -1,4 +1,4 @@
-//! The identity of the robot on a link: requested on each new link, before anything else is sent on it.
+//! Verifies the identity of the robot on each new link, before anything else is sent on it.
 //!
 //! An address may lead to the wrong robot: two addresses were swapped in the fleet file, or another robot has taken over the address
 //! since. A robot states its identity in its initialization block. Stops wait only briefly for the identity. A robot that does not
@@ -12,7 +12,7 @@ use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
 use super::{Action, Greeting, Loss, Mission, Phase, Progress, error_of_status};
 
-/// The time after which a robot that has not identified itself is asked again, and is sent its stops.
+/// How long a robot may take to identify itself. After this time, the robot is asked again, and its stops are sent without further delay.
 const ASK_AGAIN: Span = Span::from_millis(250);
 
 impl Mission {
@@ -28,7 +28,7 @@ impl Mission {
         self.ask_name(now, robot);
     }
 
-    /// Whether stops may be sent on a robot's link: it is the right robot, or it has not identified itself for a while.
+    /// Whether stops may be sent on a robot's link: the right robot has answered on it, or no robot has identified itself for a while.
     pub(super) fn takes_stops(&self, now: Timestamp<Server>, robot: usize) -> bool {
         let state = &self.robots[robot];
         let another = |failure: &Failure| matches!(failure.kind, FailureKind::AnotherRobot { .. });

@@ -1,5 +1,5 @@
-//! Invariants of a mission between two events: the statements of `docs/mission.md`, as far as they are visible from inside. Tests, the
-//! simulation and the fuzzer check them after every event; a released program does not.
+//! Invariants that a mission satisfies between two events: the statements of `docs/mission.md`, as far as they are visible from inside.
+//! Tests, the simulation and the fuzzer check them after every event; a released program does not.
 
 use urrcp::{Command, ControlRequest, Message, Server, Timestamp};
 
@@ -141,7 +141,7 @@ impl Mission {
         }
     }
 
-    /// Checks an action. `before` contains the actions before it.
+    /// Checks an action. `before` contains the actions that precede it.
     fn check_action(&self, action: &Action, before: &[Action]) {
         match action {
             Action::Send { robot, message, .. } => self.check_message(*robot, message, before),
@@ -180,7 +180,7 @@ impl Mission {
     }
 }
 
-/// The request in a message, if it contains a script or a stop.
+/// Returns the request in a message, if it contains a script or a stop.
 const fn script_in(message: &Message) -> Option<&ControlRequest> {
     match message {
         Message::ControlRequest(request) if matches!(request.command, Command::Script(_)) => Some(request),
@@ -188,7 +188,7 @@ const fn script_in(message: &Message) -> Option<&ControlRequest> {
     }
 }
 
-/// A script without steps stops its device.
+/// Whether a request is a stop: a script without steps stops its device.
 fn is_stop(request: &ControlRequest) -> bool {
     matches!(&request.command, Command::Script(script) if script.is_empty())
 }

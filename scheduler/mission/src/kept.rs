@@ -1,4 +1,4 @@
-//! The state of a mission according to its records.
+//! The state of a mission, as restored from the records in its journal.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -10,12 +10,12 @@ use super::lines::{begins_with, sound, whole_length};
 use super::record::{ActFlaws, ActOver, ENDED_ACT, EndedAct, Promise, Record};
 use super::{ActFate, Failure, Outcome, Rest};
 
-/// The state of a mission according to its records.
+/// The state of a mission, as restored from the records in its journal.
 #[derive(Clone, Debug, Default)]
 pub struct Kept {
-    /// Acts that were promised and have not ended, in order, each with its progress.
+    /// Acts that were promised to robots and have not ended, in order, each with its progress.
     pub promises: Vec<(Promise, Progressed)>,
-    /// Number of acts that have ended, without attempts that were repeated.
+    /// Number of acts that have ended. Attempts that were withdrawn and repeated do not count.
     pub ended_acts: u32,
     /// The fates of the acts that are over, in order.
     pub course: Vec<ActOver>,
@@ -27,9 +27,10 @@ pub struct Kept {
     pub dropped: Vec<RobotId>,
     /// Robots that do not recognize requests by their ids.
     pub unnamed: Vec<RobotId>,
-    /// The latest stop that was being sent; `None` also after the stop of an attempt that was repeated.
+    /// The latest stop of all robots; `None` if there was none, or if it only withdrew an attempt that was then repeated.
     pub stopping: Option<Stopping>,
-    /// The time at which the first stop after the latest promise was sent; `None` if none was. No lease has been renewed since then.
+    /// The time at which the first stop after the latest promise of an act was sent; `None` if none was. No lease has been renewed since
+    /// then.
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
@@ -39,17 +40,17 @@ pub struct Kept {
     pub torn: Option<Torn>,
     /// Every robot to which anything was ever sent, with the devices to which it was sent.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
-    /// The doubt that was stated at the decision of each act, by its number.
+    /// The interval of doubt before the start that was stated at the decision of each act, by the act's number.
     pub(crate) doubts: HashMap<u32, Span>,
-    /// For each robot: the offset last added to timestamps for its clock.
+    /// For each robot: the latest offset by which timestamps were converted to its clock.
     shifts: BTreeMap<RobotId, Span>,
-    /// The offsets of scripts that were sent with another offset than their promise states.
+    /// For each script that was sent with a clock offset other than its promise states: that offset, by request id.
     translated: HashMap<RequestId, Span>,
     /// Length of the complete lines at the beginning of the journal, in bytes.
     whole: usize,
 }
 
-/// A stop that was being sent.
+/// A stop that the mission was sending to its robots.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stopping {
     /// The outcome that the mission would have had after the stop.
@@ -58,7 +59,7 @@ pub struct Stopping {
     pub rest: Rest,
 }
 
-/// What a mission has left on its robots, to be withdrawn by another process.
+/// The remains of a mission on its robots, which another process withdraws.
 #[derive(Clone, Debug, Default)]
 pub struct Left {
     /// The robots to which anything was sent.
@@ -73,12 +74,12 @@ pub struct Left {
     pub failures: Vec<Failure>,
 }
 
-/// What a mission has left on one robot.
+/// The remains of a mission on one robot.
 #[derive(Clone, Debug, Default)]
 pub struct LeftOn {
     /// The devices to which anything was sent.
     pub devices: BTreeSet<DeviceId>,
-    /// The offset added to timestamps for the robot's clock.
+    /// The offset that converts timestamps to the robot's clock.
     pub shift: Span,
     /// The running leases of scripts whose acts have not ended; `None` for a script that continues without a link.
     pub leases: Vec<Option<Millis>>,
@@ -95,18 +96,19 @@ pub enum Progressed {
     Committed,
 }
 
-/// Records with a line that was cut off or changed. The contents of that line and of the following ones are unknown.
+/// A part of the journal that begins with a line that was cut off or changed. The contents of this line and of the following ones are
+/// unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Torn {
-    /// The number of the line, counted from 1.
+    /// The number of the first damaged line, counted from 1.
     pub line: usize,
-    /// Number of bytes from this line to the end.
+    /// Number of bytes from the damaged line to the end of the journal.
     pub bytes: usize,
-    /// Number of complete lines after this line. If there are any, the file was damaged, not only cut off.
+    /// Number of complete lines after the damaged one. If there are any, the file was damaged, not only cut off.
     pub whole_after: usize,
 }
 
-/// A line with its time.
+/// A record in a line of the journal, with its time.
 #[derive(Deserialize)]
 struct Dated {
     at: Timestamp<Server>,
@@ -114,13 +116,13 @@ struct Dated {
     record: Record,
 }
 
-/// The part of a report that is read here. The rest, which fills most of a long journal, is skipped.
+/// The only field of an act's report that is read here. The other fields, which fill most of a long journal, are skipped.
 #[derive(Deserialize)]
 struct Numbered {
     number: u32,
 }
 
-/// The fields of a promise that a stop needs.
+/// The fields of a promise that are needed to stop its robots.
 #[derive(Deserialize)]
 struct Touching<'a> {
     number: u32,
@@ -170,7 +172,7 @@ impl Kept {
         kept
     }
 
-    /// Length of the complete lines at the beginning of the journal, in bytes.
+    /// Returns the length of the complete lines at the beginning of the journal, in bytes.
     #[must_use]
     pub const fn whole(&self) -> usize {
         self.whole
@@ -191,8 +193,8 @@ impl Kept {
         if self.promises.is_empty() { Fate::Withdraw("no act was under way") } else { Fate::Resume }
     }
 
-    /// The outcome of the mission if `resume` withdraws it, and the reason for users. The outcome is that of the stop that was being
-    /// sent, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
+    /// Returns the outcome of the mission if `resume` withdraws it, and the reason for users. If a stop was being sent, the outcome is
+    /// that of the stop, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
     #[must_use]
     pub fn ending(&self, why: &str) -> (Outcome, String) {
         let outcome = self.stopping.as_ref().map_or(Outcome::Failed, |stopping| stopping.outcome.clone());
@@ -203,7 +205,7 @@ impl Kept {
         (outcome, reason)
     }
 
-    /// Whether robots may have moved. Only an act whose commitment is on disk can start, but damage may hide a commitment.
+    /// Whether robots may have moved. Only an act whose commitment is on disk can start, but damage to the journal may hide a commitment.
     fn may_have_moved(&self) -> bool {
         let in_act =
             |over: &ActOver| matches!(over.fate, ActFate::Played | ActFate::Stopped | ActFate::Unknown);
@@ -212,7 +214,7 @@ impl Kept {
             || self.torn.is_some_and(|torn| torn.whole_after > 0)
     }
 
-    /// What the mission has left on its robots.
+    /// Returns the remains of the mission on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
         let mut left = Left {
@@ -234,7 +236,7 @@ impl Kept {
         left
     }
 
-    /// A promise with the offsets that were sent with its scripts.
+    /// Parses a promise, and replaces the offsets of its scripts with those that were actually sent.
     fn promise(&self, json: &[u8]) -> Option<Promise> {
         let mut promise: Promise = serde_json::from_slice(json).ok()?;
         for script in &mut promise.scripts {
@@ -253,7 +255,7 @@ impl Kept {
         }
     }
 
-    /// Processes a line. A promise is parsed in full only later, if its act has not ended.
+    /// Processes a line of the journal. A promise is parsed in full only later, if its act has not ended.
     fn take<'a>(&mut self, json: &'a [u8], under_way: &mut Vec<UnderWay<'a>>) {
         if is_promise(json) {
             let Ok(promise) = serde_json::from_slice::<Touching<'_>>(json) else { return };
@@ -317,7 +319,7 @@ impl Kept {
     }
 }
 
-/// A promise that has not ended: its number, its line, and its progress.
+/// A promise whose act has not ended: the act's number, the line of the promise, and the act's progress.
 type UnderWay<'a> = (u32, &'a [u8], Progressed);
 
 fn is_promise(json: &[u8]) -> bool {

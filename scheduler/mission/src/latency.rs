@@ -1,4 +1,4 @@
-//! Finds robots that declare latencies other than those with which their motions were planned.
+//! Finds robots that declare other latencies than those with which their motions were planned.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -14,7 +14,7 @@ const SAME: Span = Span::from_millis(1);
 /// The maximum number of devices that are listed per robot.
 const SHOWN_MAX: usize = 12;
 
-/// The devices of one robot that declare a latency other than the compensated one.
+/// The devices of one robot that declare a latency other than the one for which the plan compensates.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LatencyDiffers {
@@ -22,15 +22,15 @@ pub struct LatencyDiffers {
     pub devices: Vec<OtherLatency>,
 }
 
-/// A device that declares a latency other than the compensated one.
+/// A device that declares a latency other than the one for which the plan compensates.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OtherLatency {
     /// Id of the device.
     pub device: DeviceId,
-    /// The declared latency.
+    /// The latency that the robot declares.
     #[serde(rename = "declared_ms")]
     pub declared: Span,
-    /// The compensated latency.
+    /// The latency for which the plan compensates.
     #[serde(rename = "compensated_ms")]
     pub compensated: Span,
     /// The source of the compensated latency; `None` if none was known.
@@ -38,8 +38,9 @@ pub struct OtherLatency {
 }
 
 impl LatencyDiffers {
-    /// The differences of a robot that has sent its own block. The author of the fleet file knew the declarations in the fleet's copy of
-    /// the block, and may have deliberately set another latency.
+    /// Returns the latencies in a robot's own block that differ from those for which the plan compensates; `None` if none differ. A
+    /// latency that the fleet's copy of the block already declares is not reported if the fleet file sets another one: its author may
+    /// have done so deliberately.
     pub(super) fn of(
         choreography: &Choreography,
         robot: &RobotId,
@@ -110,7 +111,8 @@ mod tests {
         Latency { median: Span::from_millis(millis), spread: Span::ZERO }
     }
 
-    /// The report about a device that declares `declared` while `used` is compensated, and the fleet's copy declares `known`.
+    /// Returns the report about a device that declares the latency `declared`. The plan compensates for `used`, and the fleet's copy of
+    /// the block declares `known`.
     fn differs(
         declared: Option<i64>,
         used: Option<(i64, LatencySource)>,

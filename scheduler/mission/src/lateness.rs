@@ -1,11 +1,11 @@
-//! How late this machine calls the mission: the time from the instant at which the mission asked to be called to the actual call. A
-//! host whose cores are all busy calls the robots that run on it as late as the scheduler.
+//! Measures how late this machine calls the mission: the delay from the requested to the actual time of a call. On a host whose cores are
+//! all busy, the robots that run there are called as late as the scheduler.
 
 use urrcp::{Server, Span, Timestamp};
 
 /// The interval at which the mission asks to be called during the greeting, so that it knows the lateness before the first act.
 const PROBED_EVERY: Span = Span::from_millis(10);
-/// The time for which the largest lateness applies at least; it applies for at most twice this time.
+/// The minimum time for which a measured lateness remains in effect. It remains in effect for at most twice this time.
 const COUNTS_FOR: Span = Span::from_millis(5_000);
 /// The shortest delay that counts as lateness. Shorter delays are usual, and the shortest leases already allow for them.
 const LATENESS_MIN: Span = Span::from_millis(5);
@@ -13,7 +13,7 @@ const LATENESS_MIN: Span = Span::from_millis(5);
 /// stall is prepared again.
 const LATENESS_MAX: Span = Span::from_millis(100);
 
-/// The largest lateness of recent calls.
+/// The largest lateness of recent calls: how long after the requested time this machine called the mission.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lateness {
     /// The time at which the mission asked to be called; `None` once it has been called.
@@ -35,7 +35,7 @@ impl Lateness {
         self.due = due.filter(|due| *due > now);
     }
 
-    /// Notes that the mission is called.
+    /// Notes that the mission is called at `now`, and measures how late this call is.
     pub(super) fn called(&mut self, now: Timestamp<Server>) {
         if now >= self.since + COUNTS_FOR {
             let before = if now < self.since + COUNTS_FOR * 2 { self.largest[0] } else { Span::ZERO };
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
     use crate::bench::{at, ms};
 
-    /// The mission asks to be called at `due`, and is called at `now`.
+    /// Simulates a mission that asks to be called at `due` and is called at `now`.
     fn is_called(lateness: &mut Lateness, due: i64, now: i64) {
         lateness.asks(at(due - 1), Some(at(due)));
         lateness.called(at(now));

@@ -1,33 +1,35 @@
-//! The lead time of an act: the time from sending to the start, and its components.
+//! The lead time of an act (the time from sending its scripts to its start) and the components of that time.
 
 use serde::{Deserialize, Serialize};
 use urrcp::Span;
 
 use super::act::timing::Pace;
 
-/// Minimum time between the end of all leases and the start, also added to the preparation time: a loaded machine wakes the scheduler
-/// tens of milliseconds late.
+/// The minimum time between the end of all pending leases and the start of an act. It is also added to the preparation time, because a
+/// loaded machine wakes the scheduler tens of milliseconds late.
 pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
-/// Minimum pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
+/// The minimum pending lease (how long a robot keeps a waiting script without receiving anything). A few renewals, timed in milliseconds,
+/// must fit into it.
 const LEASE_MIN: Span = Span::from_millis(240);
-/// The longest round trip that leads and leases allow for; longer ones are treated like it. If a lead and a lease followed every delay, a
-/// show would wait for one bad link. The preparation time and the leases still leave room for at least twice as much.
+/// The longest round trip for which lead times and leases allow; longer ones are treated as this long. Otherwise, one bad link would
+/// delay the whole show. The preparation time and the leases tolerate delays of at least twice this value.
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
-/// The longest accepted round trip. A robot with longer ones is refused: it could keep none of the leases.
+/// The longest accepted round trip. A robot with a longer round trip is refused, because none of its leases could be renewed in time.
 pub(crate) const ROUND_TRIP_LONGEST: Span = Span::from_millis(3_000);
-/// The longest pending lease of an act, and the longest margin after it. Round trips need at most 3 s; the rest is for early and late
-/// starts because of clocks.
+/// The longest pending lease of an act, and the longest margin after it. Round trips need at most 3 s; the rest allows for starts that
+/// are early or late because of clock errors.
 pub(crate) const LEASE_MAX: Span = Span::from_millis(10_000);
-/// The number of bytes per second that any link and robot is assumed to receive, even on a host whose cores are all busy.
+/// The assumed transfer rate of every link and robot in bytes per second, even on a host whose cores are all busy.
 const BYTES_A_SECOND: i64 = 10_000_000;
 /// Time to encode, send, check and answer one request, in addition to the transfer time of its bytes.
 const EACH_REQUEST: Span = Span::from_micros(500);
 
-/// The components of the lead time. Requests are sent and answered (`prepare`), then the decision is due. After that, the pending leases
-/// can end (`lease`) before the start, and `margin` remains.
+/// The components of an act's lead time. During `prepare`, requests are sent and answered; then the mission decides whether the act
+/// starts. `lease` is the time in which all pending leases can end before the start. `margin` is the time that then remains until the
+/// start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LeadTime {
-    /// Time from the sending timestamp to the decision.
+    /// Time from the sending timestamp to the decision whether the act starts.
     #[serde(rename = "prepare_ms")]
     pub prepare: Span,
     /// The pending lease: a robot that receives nothing for this long drops its script.
@@ -39,13 +41,13 @@ pub struct LeadTime {
 }
 
 impl LeadTime {
-    /// The number of renewals per lease. A renewal may take as long as the interval between renewals to arrive, without being noticed.
+    /// The number of renewals per lease. A renewal that arrives late by up to one interval between renewals therefore has no effect.
     pub(crate) const RENEWALS_A_LEASE: i64 = 3;
 
-    /// The lead time that this fleet needs.
+    /// The lead time that an act of this fleet needs.
     ///
-    /// `round_trip` is the longest round trip that links nearly always keep. `requests` and `bytes` are the total to send. `lease` is the
-    /// pending lease that requests carry.
+    /// `round_trip` is a limit that the round trips of all links nearly always keep. `requests` and `bytes` are the total numbers of
+    /// requests and bytes to send. `lease` is the pending lease in those requests.
     #[must_use]
     pub(crate) fn needed(round_trip: Span, requests: usize, bytes: usize, pace: &Pace, lease: Span) -> Self {
         let requests = i64::try_from(requests).unwrap_or(i64::MAX);
@@ -71,7 +73,7 @@ impl LeadTime {
         self.prepare + self.lease + self.margin
     }
 
-    /// The lead time for a later start. Additional time extends the *prepare* phase.
+    /// This lead time, extended to `total` for a later start. All of the additional time extends the *prepare* phase.
     #[must_use]
     pub fn stretched_to(self, total: Span) -> Self {
         Self { prepare: self.prepare + (total - self.total()).max(Span::ZERO), ..self }

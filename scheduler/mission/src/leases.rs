@@ -1,4 +1,4 @@
-//! The time at which an unreachable robot comes to rest by its own leases.
+//! The time at which an unreachable robot comes to rest because its leases end.
 
 use urrcp::{Server, Span, Timestamp};
 
@@ -7,9 +7,9 @@ use super::robot_state::RobotState;
 use super::script::{Ending, ScriptState};
 
 impl Act {
-    /// When a robot's remaining script of a closed act ends by its own lease, if the robot receives nothing more: by the pending lease
-    /// while the script waits, otherwise by the running lease. `None` if no script remains, `Some(None)` if the script continues without
-    /// a lease.
+    /// The time at which a lease ends the script that a robot still has from a closed act, provided that the robot receives nothing more.
+    /// A waiting script is ended by its pending lease; a script that plays, by its running lease. `None` if no script remains,
+    /// `Some(None)` if the script continues without a lease.
     pub(super) fn left_behind(
         &self,
         member: &Member,

@@ -1,7 +1,7 @@
-//! Room in the queues of devices, across all acts in order of their start.
+//! The free slots in the script queues of devices, across all acts in order of their start.
 //!
-//! A device holds as many scripts as its queue has slots. When a slot becomes free, the next script in order of start is sent, whatever
-//! its act.
+//! A device holds as many scripts as its queue has slots. When a slot becomes free, the next script in order of start is sent, regardless
+//! of the act to which it belongs.
 
 use std::collections::HashMap;
 
@@ -43,17 +43,17 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     sendable
 }
 
-/// Whether to send a script later, when the drift of its robot's clock is known. The script can wait because its device holds two other
-/// scripts. Without this machine, a lease would end those anyway.
+/// Whether to send a script only when the drift of its robot's clock is known. The script can wait if at least two scripts are ahead of
+/// it and the last of them is long. If this machine failed, a lease would end that script anyway.
 fn waits_for_its_clock(ahead: &[&Script]) -> bool {
     let [.., _, last] = ahead else { return false };
     last.duration() >= LONG_ENOUGH && last.longest_lease().is_some_and(|lease| lease <= last.duration())
 }
 
-/// The minimum length of a script during which the next one is certainly sent.
+/// The minimum duration of a script that certainly leaves enough time to send the next script while it plays.
 const LONG_ENOUGH: Span = Span::from_millis(5_000);
 
-/// The number of free queue slots of each device for which scripts remain to be sent.
+/// The number of free queue slots of each device to which scripts remain to be sent.
 fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
     let mut room = HashMap::new();
     let members = || acts.iter().filter_map(|act| act.member(robot));
@@ -69,7 +69,8 @@ fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a
     room
 }
 
-/// Whether every device has room for its first script of an act, behind all scripts of earlier acts that it holds or will be sent.
+/// Whether the queue of every device has a slot for the device's first script of an act. The scripts of earlier acts that the device
+/// holds or will receive come first.
 pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
     let (before, act) = (&acts[..index], &acts[index]);
     act.present().all(|member| {

@@ -1,4 +1,4 @@
-//! The mission machine: greet, check, prepare an act, decide once, commit, watch, continue with the next act, stop, report.
+//! The state machine of a mission: greet, check, prepare an act, decide once, commit, watch, continue with the next act, stop, report.
 //!
 //! The machine takes events with their time and returns actions. It reads no clock and does no I/O, so the same machine runs a real fleet
 //! (`downbeat-runtime`), a dry run (`downbeat-rehearsal`) and the fault simulation. Each act is a machine of its own (`act/`): the
@@ -91,7 +91,7 @@ pub use requests::may_be_for_a_stop;
 use robot_state::RobotState;
 pub use robot_state::{Rest, Standing, Totals};
 
-/// Phase of the mission. The file of each phase handles its timers.
+/// Phase of the mission. Each phase has a source file that handles its timers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// The mission greets the robots: links, availability, initialization blocks, clocks, sensors.
@@ -116,9 +116,10 @@ enum StoppedBy {
 struct Recording {
     /// Number of durable records that were passed to the journal so far.
     count: u64,
-    /// Records that an act waits for, or that measure the disk: the record number, the act, and the time of the request.
+    /// The records for which an act waits, or by which the speed of the disk is measured. For each: its number, the act, and the time of
+    /// the request.
     awaited: VecDeque<(u64, Option<u32>, Timestamp<Server>)>,
-    /// Duration of the slowest of the last writes; `None` before the first.
+    /// Duration of the slowest of the last writes; `None` before the first write.
     longest: Option<Span>,
 }
 
@@ -128,9 +129,10 @@ pub struct Mission {
     choreography: Arc<Choreography>,
     options: MissionOptions,
     robots: Vec<RobotState>,
-    /// The index of each robot of the first act, in the order of the act's plan.
+    /// The index of each robot of the first act, in the order of the act's plan; `None` for a robot without a participant.
     first_robots: Vec<Option<usize>>,
-    /// For each robot: the first script of each device from the first act on, and the device's largest speed in that act.
+    /// For each robot: the first script of each device, starting with the mission's first act, and the device's largest speed in the act
+    /// of that script.
     first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     phase: Phase,
     /// The acts under way, in order of their start; the last one may still wait.
@@ -140,22 +142,23 @@ pub struct Mission {
     acts_repeated: u32,
     /// Whether `acts_max` prevented a further act.
     bounded: bool,
-    /// The next act that a failure policy requests.
+    /// The index of the act that a failure policy requests as the next one.
     detour: Option<usize>,
-    /// The act with which the mission continues after a stop.
+    /// The index of the act with which the mission continues after a stop.
     then: Option<usize>,
-    /// The act that is planned after a stop.
+    /// The state of the act that is planned after a stop and moves devices to their next or default positions.
     transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
     /// Whether the act whose start the operator fixed has been queued.
     start_was_fixed: bool,
-    /// The allowance for delays of this machine, treated like a slower link: at least twice the delay of the last withdrawn act.
+    /// The allowance for delays of this machine, added to the round trip of the slowest link. It is at least twice the delay because of
+    /// which the last act was withdrawn.
     hold_up: Span,
     /// How late this machine calls the mission.
     lateness: lateness::Lateness,
     next_round: Option<Timestamp<Server>>,
-    /// Number of rounds that this machine started too late.
+    /// Number of rounds of questions to robots that this machine started too late.
     rounds_held_up: u64,
     /// The time of the next check whether a robot has been silent for too long.
     next_silence: Option<Timestamp<Server>>,
@@ -163,16 +166,17 @@ pub struct Mission {
     next_name: Option<Timestamp<Server>>,
     /// The time at which stops were last sent.
     stopped_at: Option<Timestamp<Server>>,
-    /// The earliest instant at which the mission gives up a lost robot.
+    /// The earliest time at which the mission gives up a robot whose link is lost; `None` if none is scheduled.
     give_up: Option<Timestamp<Server>>,
-    /// Messages that must not be sent before an act is committed or withdrawn.
+    /// Messages that must not be sent before an act is committed or withdrawn, each with the index of its robot.
     deferred: Vec<(usize, Message)>,
     recording: Recording,
     /// The fate of each act of the scenario.
     fates: Vec<ActCourse>,
-    /// Whether robots may have moved in a mission that is withdrawn. Its acts are not in `fates`.
+    /// Whether robots may have moved in a mission of another process that this mission only withdraws. The acts of that mission are not
+    /// in `fates`.
     moved_before: bool,
-    /// Number of consecutive acts without a robot left to play them.
+    /// Number of consecutive acts that were skipped because no robot was left to play them.
     skipped: usize,
     /// The time at which additional clock sampling ends, and the time of the next sample.
     sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
@@ -185,9 +189,9 @@ pub struct Mission {
     journal_written_again: u64,
     /// The operator who stopped the mission, if another operator started it.
     said_stop: Option<String>,
-    /// The first failure in the course of the mission, regardless of what follows.
+    /// The outcome of the first failure in the course of the mission. Later events do not change it.
     flawed: Option<Outcome>,
-    /// The outcome because of the first act whose starts were too far apart or whose steps were too late.
+    /// The outcome that follows from the first act whose starts were too far apart or whose steps were too late.
     flaw_of_times: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,
@@ -288,15 +292,15 @@ impl Mission {
         Self::new(Choreography::of_plan(plan), participants, options, now)
     }
 
-    /// Processes an event that happened at `now`. [`Mission::advance`] must follow at the same instant, once no further event of that
-    /// instant is pending. It may decide the consequences of the event.
+    /// Processes an event that happened at `now`. After the last event of an instant, the caller must call [`Mission::advance`] for the
+    /// same instant, which may decide the consequences of the events.
     #[must_use]
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.happened(now, now, event)
     }
 
-    /// Processes at `now` an event that happened at `at`, because a message may have waited on this machine. Decisions and sends depend
-    /// on `now`, measurements on `at`. As after [`Mission::handle`], [`Mission::advance`] must follow.
+    /// Processes at `now` an event that happened earlier, at `at`: a message may have waited on this machine. Decisions and sends depend
+    /// on `now`, measurements on `at`. The caller must then call [`Mission::advance`], as after [`Mission::handle`].
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
@@ -396,7 +400,7 @@ impl Mission {
         &self.choreography
     }
 
-    /// The final outcome; `None` before the end. [`crate::report::Report::of`] reports what really happened.
+    /// The final outcome; `None` before the end. [`crate::report::Report::of`] returns the complete report.
     #[must_use]
     pub fn outcome(&self) -> Option<&Outcome> {
         self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
@@ -445,8 +449,8 @@ impl Mission {
         self.robots.iter().map(|robot| &robot.id)
     }
 
-    /// For each robot: the devices that another process has moved and that have not been sent a stop. A mission that only stops robots
-    /// first asks which robot answers on the link.
+    /// For each robot: the devices that another process has moved. Empty if this mission already stops the robot, because it first asks
+    /// which robot answers on the link.
     pub fn moved_by_another(&self) -> impl Iterator<Item = BTreeSet<DeviceId>> {
         let devices = |robot: &RobotState| {
             if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
@@ -470,13 +474,14 @@ impl Mission {
         self.preflight.as_ref()
     }
 
-    /// The operator's choices.
+    /// The options of the mission, as the operator chose them.
     #[must_use]
     pub const fn options(&self) -> &MissionOptions {
         &self.options
     }
 
-    /// Reports a loss of NTP. Robots that follow NTP stay in sync with each other, whatever the clock of this machine does.
+    /// Reports that this machine has lost or regained NTP. Robots that follow NTP stay in sync with each other, whatever the clock of
+    /// this machine does.
     fn server_time(&mut self, state: NtpState) {
         let before = self.ntp.replace(state).and_then(|before| before.lost_since);
         match (before, state.lost_since) {

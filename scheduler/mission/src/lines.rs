@@ -1,4 +1,4 @@
-//! The lines of a journal: a checksum, then JSON.
+//! The lines of a journal. Each line consists of a checksum and a JSON value.
 
 use std::io;
 
@@ -35,7 +35,7 @@ pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Length of the complete lines at the beginning of a journal, in bytes.
+/// The length in bytes of the complete lines (whose checksums match) at the beginning of a journal.
 pub fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
     lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
@@ -54,13 +54,13 @@ pub fn sound(line: &[u8]) -> Option<&[u8]> {
     (crc32fast::hash(json) == sum).then_some(json)
 }
 
-/// Whether the JSON of a line is of the kind `kind`, which follows the time of the line.
+/// Whether the first 128 bytes of the JSON of a line contain `kind`: the text, after the time, that names the kind of the record.
 pub fn begins_with(json: &[u8], kind: &[u8]) -> bool {
     let begin = &json[..json.len().min(128)];
     begin.windows(kind.len()).any(|bytes| bytes == kind)
 }
 
-/// The reports of the acts that have ended, in order, without attempts that were repeated.
+/// The reports of the ended acts in a journal, in order. Attempts that were repeated later are omitted.
 pub fn ended_acts(bytes: &[u8]) -> impl Iterator<Item = ActReport> {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n').map_while(sound);
     let ended = lines.filter(|json| begins_with(json, ENDED_ACT));

@@ -1,5 +1,5 @@
-//! Verifies the starts of motions by sensors while a mission plays (`run --verify-motion`): which readings are requested around the first
-//! movement of each device in an act, and how they are evaluated.
+//! Verifies by sensors when motions start during a mission (`run --verify-motion`). This module decides which readings are requested
+//! around the first movement of each device in an act, and evaluates them.
 
 use std::collections::VecDeque;
 
@@ -13,18 +13,18 @@ use urrcp::{
 use super::act::Act;
 use super::robot_state::RobotState;
 
-/// How long before its movement the mission starts to watch a device, if the act is committed by then.
+/// How long before a device's movement the mission starts to read its sensor, if the act is committed by then.
 const BEFORE: Span = Span::from_millis(80);
-/// A device is watched for this long after the planned start of its movement, unless it receives another command before.
+/// How long after the planned start of a device's movement its sensor is read, unless the device receives another command earlier.
 const AFTER: Span = Span::from_millis(400);
-/// Interval between two questions to one sensor.
+/// The interval between two requests to the same sensor.
 const EVERY: Span = Span::from_millis(4);
 /// The maximum time to wait for a sensor's answer.
 const ANSWERED: Span = Span::from_millis(250);
-/// The uncertainty of an onset in standard errors: 95 % of a normal distribution.
+/// The uncertainty of an onset (the start of a motion) in standard errors: 95 % of a normal distribution.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// The first movement of one device in an act, and what its sensor shows around it.
+/// The first movement of one device in an act, and the readings of its sensor around that time.
 #[derive(Clone, Debug)]
 pub(crate) struct Watched {
     robot: usize,
@@ -32,30 +32,30 @@ pub(crate) struct Watched {
     sensor: DeviceId,
     taken: Taken,
     sensor_delay: Span,
-    /// Displacement from which motion is visible, in the unit of the device.
+    /// The smallest displacement at which motion is visible, in the unit of the device.
     visible: f64,
     range: Option<(f64, f64)>,
     movement: Movement,
     /// The compensated latency: the planned time from the command to the motion.
     latency: Span,
-    /// The measured lag of the device; `None` if unknown.
+    /// How the device lags behind its commands, as measured; `None` if unknown.
     lag: Option<Lag>,
     readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
-    /// The time of the last question, and whether its answer is pending.
+    /// The time of the last request to the sensor, and whether its answer is pending; `None` before the first request.
     asked: Option<(Timestamp<Server>, bool)>,
 }
 
-/// The first movement that the steps of a device command.
+/// The first movement that a device's steps command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Movement {
-    /// The start of the movement, from the start of the act.
+    /// The start of the movement, measured from the start of the act.
     due: Span,
-    /// The duration of the movement; zero for a step.
+    /// The duration of the movement; zero for a device that does not interpolate.
     lasts: Span,
-    /// The start position; `None`: the position at the start of the movement.
+    /// The commanded start position; `None` for the position that the sensor shows first.
     from: Option<f64>,
     to: f64,
-    /// The time of the next command, from the start of the act.
+    /// The time of the next command, measured from the start of the act; `None` if no command follows.
     until: Option<Span>,
 }
 
@@ -66,7 +66,7 @@ pub struct MotionReport {
     pub robot: RobotId,
     /// Id of the device.
     pub device: DeviceId,
-    /// The planned start of the motion by the scheduler's clock: its command plus the compensated latency.
+    /// The planned start of the motion by the scheduler's clock: the time of its command plus the compensated latency.
     pub planned: Timestamp<Server>,
     /// The actual minus the planned start; `None` if the readings do not show the start.
     #[serde(rename = "error_ms")]
@@ -81,10 +81,10 @@ pub struct MotionReport {
     pub unclear: Option<String>,
 }
 
-/// The spread of motions in time, relative to their plans.
+/// How far apart in time the starts of motions are, relative to their planned starts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionSpread {
-    /// The latest minus the earliest error.
+    /// The largest minus the smallest start error.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
     /// The uncertainty of the spread: the sum of the uncertainties of the earliest and the latest motion.
@@ -107,7 +107,7 @@ impl MotionSpread {
 }
 
 impl Watched {
-    /// What to watch in an act: the first movement of each device with a sensor that shows its position.
+    /// The movements to watch in an act: the first movement of each device whose position a sensor shows.
     pub(crate) fn of(act: &Act, robots: &[RobotState]) -> Vec<Self> {
         let mut all = Vec::new();
         for member in act.members() {
@@ -156,7 +156,7 @@ impl Watched {
         &self.sensor
     }
 
-    /// The time of the next question to the sensor, in an act with this start; `None` after the last question.
+    /// The time of the next request to the sensor, in an act that starts at `start`; `None` after the last request.
     pub(crate) fn due(&self, start: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = start + self.movement.due;
         let next = match self.asked {
@@ -173,7 +173,8 @@ impl Watched {
         self.asked = Some((now, true));
     }
 
-    /// Processes an answer of the sensor. An answer that was not pending belongs to an earlier question, whose time is unknown.
+    /// Processes an answer of the sensor. An unexpected answer is ignored, because it belongs to an earlier request whose time is
+    /// unknown.
     pub(crate) fn answered(&mut self, arrived: Timestamp<Server>, value: Option<f64>) {
         let Some((asked, true)) = self.asked else { return };
         self.asked = Some((asked, false));
@@ -230,7 +231,8 @@ fn range_of(sensor: &Device) -> Option<(f64, f64)> {
     }
 }
 
-/// The first change of position in the steps of a device. The behavior of the device before its first step depends on its position.
+/// The first change of position in a device's steps. If the device interpolates linearly, its motion before the first step is ignored,
+/// because it depends on where the device is.
 fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
     let steps: Vec<(Span, f64)> = (steps.iter())
         .filter(|(_, step)| step.setpoint.control_type == ControlType::Position)

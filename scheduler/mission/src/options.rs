@@ -25,7 +25,7 @@ pub struct Participant {
 }
 
 impl Participant {
-    /// A participant with this id and description, with default settings except that its robot wakes up in time for a start.
+    /// A participant with this id and description. Its settings are the defaults, except that its robot wakes up without delay.
     #[must_use]
     pub fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
         let settings = MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() };
@@ -39,14 +39,14 @@ impl Participant {
     }
 }
 
-/// Whether steps 1 to 4 of the protocol are performed.
+/// Whether the mission performs steps 1 to 4 of the protocol, in which it greets the robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Greeting {
     /// Ask every robot for its availability, clock and initialization block.
     Full,
-    /// Trust the static blocks (a static system in a closed network).
+    /// Trust the static descriptions of the robots, as in a static system in a closed network.
     Skip,
 }
 
@@ -65,9 +65,9 @@ pub enum Join {
 /// The operator's choices for a mission.
 #[derive(Clone, Debug)]
 pub struct MissionOptions {
-    /// Whether to perform steps 1 to 4 of the protocol.
+    /// Whether to perform steps 1 to 4 of the protocol, in which the mission greets the robots.
     pub greeting: Greeting,
-    /// The lead time that overrides the scenario's lead time; `None`: the scenario's applies.
+    /// The lead time that overrides the scenario's lead time; `None` if the scenario's lead time applies.
     pub lead: Option<Span>,
     /// How long to wait for links, greetings and stop confirmations.
     pub patience: Span,
@@ -80,12 +80,12 @@ pub struct MissionOptions {
     /// The index of the first act that the mission plays.
     pub first_act: usize,
     /// The maximum number of acts, including those that waited without success. After them, the mission ends as after its last act. The
-    /// first act always begins. `None`: no limit.
+    /// first act always begins. `None` if there is no limit.
     pub acts_max: Option<u32>,
     /// How to treat robots that are missing when the mission begins.
     pub join: Join,
-    /// Whether to take over robots that belong to other sessions, if the robots permit it: they must have proven their identity, and this
-    /// operator must have the role.
+    /// Whether to take over robots that belong to other sessions. A robot permits this only if it has proven its identity and this
+    /// operator has the required role.
     pub seize: bool,
     /// Whether to read the sensors that show positions around the first movement of each device in an act, and report when motions began.
     pub verify_motion: bool,
@@ -107,7 +107,7 @@ pub struct FixedStarts {
     /// The start that the operator fixes; `None` if the operator fixes none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<FixedStart>,
-    /// The permitted delay of a start that would otherwise not take place.
+    /// The permitted delay of a fixed start that cannot take place on time.
     #[serde(rename = "within_ms", default)]
     pub within: Span,
 }

@@ -21,8 +21,8 @@ pub enum Outcome {
         /// The names of the acts that were left out.
         acts: Vec<String>,
     },
-    /// The mission was played to its end, but starts were further apart, or further off the plan, than the scenario tolerates. Or clocks
-    /// drifted by more than that while the mission played.
+    /// The mission was played to its end, but starts were further apart, or further off the plan, than the scenario tolerates. Clocks
+    /// that drift by more than this tolerance during the mission have the same outcome.
     OutOfTolerance {
         /// The spread of the starts of an act, or the largest start error, by the robots' own clocks.
         #[serde(rename = "spread_ms")]
@@ -80,20 +80,21 @@ pub enum Outcome {
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
-    /// The journal cannot be written, or its disk has stalled. No further promise is possible, and all robots were stopped.
+    /// The journal cannot be written, or its disk has stalled. The mission can promise no further scripts to robots, and all robots were
+    /// stopped.
     JournalLost {
         /// The reason why the journal was lost, as text for users.
         reason: String,
     },
-    /// The scheduler itself was delayed before the decision; no robot started.
+    /// The scheduler itself was delayed, and decided too late whether an act starts; no robot started.
     DecisionLate {
         /// The delay of the decision.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// The scheduler itself or its disk was delayed before the commitment; no robot started.
+    /// The scheduler itself or its disk was delayed, and an act was committed too late; no robot started.
     CommitmentLate {
-        /// The minimum delay of the commitment.
+        /// The minimum delay of the commitment; zero if unknown.
         #[serde(rename = "by_ms")]
         by: Span,
     },

@@ -23,13 +23,13 @@ pub(super) struct Expected {
     pub(super) within: f64,
 }
 
-/// A device that a stop has left adrift may slow down for some time. The mission asks for its position again until it no longer
-/// changes, for this long at most.
+/// The maximum time for which the mission asks again for the position of a device that a stop has left adrift. Such a device may still
+/// slow down, so the mission asks until its position no longer changes.
 const SLOWS_MAX: Span = Span::from_millis(4_000);
-/// Minimum time between two questions, from the second question on.
+/// Minimum time between two requests for a device's position, from the second request on.
 const ASK_AGAIN: Span = Span::from_millis(100);
-/// Minimum time between two questions for positions that a sensor reads. Within less time, the readings of a device that still moves may
-/// differ by less than the error of its sensor.
+/// Minimum time between two requests for a position that a sensor reads. Within a shorter time, a device that still moves may move by
+/// less than the error of its sensor.
 const READ_AGAIN: Span = Span::from_millis(1_000);
 
 /// Maximum number of sensors per robot that are read only for display.
@@ -40,18 +40,19 @@ const NAMES_MAX: usize = 100;
 
 impl RobotState {
     /// Twice the error of a device's position. The error is the one that the device declares, or its granularity if that is larger.
+    /// `None` if the device is not described.
     fn error_of(&self, device: &DeviceId) -> Option<f64> {
         let described = self.block.as_ref()?.device(device.as_str())?;
         let limits = described.available_control_types.limits(ControlType::Position)?;
         Some(2.0 * limits.granularity.max(limits.max_error.unwrap_or(0.0)))
     }
 
-    /// Whether the robot has answered all questions for readings and positions of its devices.
+    /// Whether the robot has answered all requests for readings and positions of its devices.
     pub(super) fn has_shown_its_pose(&self) -> bool {
         self.reads.awaited().next().is_none() && self.positions_owed == 0
     }
 
-    /// Whether the robot has not answered all questions for the positions of its devices.
+    /// Whether the robot still owes an answer about the positions of its devices.
     fn owes_positions(&self) -> bool {
         self.positions_owed > 0 || self.reads.awaited().any(|what| matches!(what, Reading::Position(_)))
     }
@@ -62,7 +63,7 @@ impl RobotState {
         self.takes_inquiries() || described().is_some()
     }
 
-    /// Whether two reported positions of a device may be the same position.
+    /// Whether two reported positions of a device may be the same position: they differ by no more than the error of its sensor.
     fn is_same_position(&self, device: &DeviceId, one: f64, other: f64) -> bool {
         let is_read = self.positions.iter().any(|(read, _)| read == device);
         let error = self.error_of(device).filter(|_| is_read).unwrap_or_default();
@@ -81,7 +82,7 @@ impl RobotState {
         read.chain(commanded.map(|(device, position)| (device, *position)))
     }
 
-    /// Discards the known positions of the robot's devices, and the answers about positions that the robot owes.
+    /// Discards the known positions of the robot's devices, and stops awaiting the sensor readings of positions that the robot owes.
     pub(super) fn forget_positions(&mut self) {
         self.reads.forget(|what| matches!(what, Reading::Position(_)));
         self.positions.clear();
@@ -154,9 +155,9 @@ impl Mission {
         }
     }
 
-    /// Asks members of an act for the positions of their devices if the greeting has not checked them, and again while a device slows
+    /// Asks the robots of an act for the positions of devices that the greeting has not checked, and asks again while a device slows
     /// down. An act with a fixed start must be sent by `send_by`. Returns the time by which answers are due, if answers are still
-    /// expected. A robot that joined late and does not answer by then is absent again.
+    /// expected. A robot that joined late and does not answer by that time is marked as absent again.
     pub(super) fn await_positions(
         &mut self,
         now: Timestamp<Server>,
@@ -208,9 +209,9 @@ impl Mission {
         due
     }
 
-    /// The next question to a robot that has answered, and when to ask it. `None` once every adrift device has kept the position of the
-    /// previous answer. If the next answer would come after `send_by`, it is enough that both answers had the device where the act
-    /// expects it: noise may be larger than the error that the device declares.
+    /// The next request for positions to a robot that has answered, and when to send it. `None` once every adrift device has the same
+    /// position as in the previous answer. If the next answer would come after `send_by`, it is enough that both answers show the device
+    /// where the act expects it. Noise may be larger than the error that the device declares.
     fn asked_again(
         &self,
         now: Timestamp<Server>,
@@ -256,8 +257,8 @@ impl Mission {
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 
-    /// Members that were asked and would have to jump at their first step. A robot that does not answer is included only if no check of
-    /// its devices applies to this act.
+    /// The robots of an act that were asked for positions, and whose devices would have to jump at their first step. A robot that has not
+    /// answered is included only if the positions of its devices are unchecked for this act.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
@@ -278,7 +279,8 @@ impl Mission {
         jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(act, *robot))).collect()
     }
 
-    /// The failure of a robot that has not reported the positions of devices that no check covers. One of them may jump.
+    /// The failure of a robot that still owes the positions of devices that are unchecked for this act, because one of them may jump.
+    /// `None` for any other robot.
     fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
         let hides = state.owes_positions()
@@ -288,16 +290,16 @@ impl Mission {
         hides.then(|| (robot, kind()))
     }
 
-    /// Members of an act that the mission asks for the positions of their devices.
+    /// The robots of an act that the mission asks for the positions of their devices.
     fn unplaced(&self, act: &Act) -> Vec<usize> {
         let members = act.present().map(|member| member.robot);
         members.filter(|robot| self.unplaced_of(act, *robot).next().is_some()).collect()
     }
 
     /// The first scripts of the devices whose positions the mission asks for before an act. These are devices that a stop has left
-    /// adrift. If no check of their positions applies to this act, they are also devices that may have to jump and that the mission has
-    /// not moved yet. With `handshake: skip`, the mission asks only for devices adrift. It does not ask for a device whose position the
-    /// robot cannot report.
+    /// adrift, and devices that may have to jump. A device of the second kind is included only if its position is unchecked for this act
+    /// and the mission has not moved it yet. With `handshake: skip`, the second kind is excluded. A device whose position the robot
+    /// cannot report is always excluded.
     fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;
@@ -322,7 +324,7 @@ impl Mission {
         self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index())
     }
 
-    /// Devices that would have to jump at their first step.
+    /// The failures of a robot's devices that would have to jump at their first step.
     pub(super) fn misplaced(&self, index: usize) -> Vec<FailureKind> {
         let failure = |(device, reading): (&DeviceId, f64)| {
             let expected = self.expected_position(index, device)?;
@@ -333,7 +335,7 @@ impl Mission {
         self.robots[index].known_positions().filter_map(failure).collect()
     }
 
-    /// Devices that may have to jump, because their positions are unknown.
+    /// Devices that may have to jump at their first step, because their positions are unknown.
     pub(super) fn unknown_positions(&self, index: usize) -> Vec<DeviceId> {
         let robot = &self.robots[index];
         let devices = self.used_devices(index).into_iter();
@@ -342,8 +344,8 @@ impl Mission {
             .collect()
     }
 
-    /// The positions from which a future act starts: where the last command has left a device, unless its sensor shows that it is
-    /// elsewhere.
+    /// The positions of a robot's devices from which a future act starts: where the last command has left a device, unless its sensor
+    /// shows that it is elsewhere.
     pub(super) fn positions_to_leave(&self, index: usize) -> BTreeMap<DeviceId, f64> {
         let robot = &self.robots[index];
         let mut positions = robot.commanded.clone();
@@ -361,8 +363,8 @@ impl Mission {
         self.first_uses[robot].keys().cloned().collect()
     }
 
-    /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may
-    /// be anywhere: a lamp, or a device that has the time to get there from any position.
+    /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may be
+    /// anywhere: a lamp, or a device that has enough time to reach that position from any other.
     ///
     /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
     /// before its first step.
@@ -379,7 +381,7 @@ impl Mission {
         self.expected_of(robot, script, || act.written().devices.iter().find(is_used)?.speed_max)
     }
 
-    /// Like `expected_position`, but for this first script of a device, in an act in which the device has this largest speed.
+    /// Like `expected_position`, but for a given first script of a device, in an act in which the largest speed of the device is `speed`.
     fn expected_of(
         &self,
         index: usize,

@@ -77,9 +77,9 @@ impl Check {
 pub enum Verdict {
     /// The check passed. Contains the observed value.
     Pass(String),
-    /// The result is unexpected, but no reason not to start.
+    /// The result is unexpected, but does not prevent the start.
     Warning(String),
-    /// The result is a reason not to start.
+    /// The result prevents the start.
     Failure(String),
     /// The check had no data.
     NotChecked,

@@ -1,4 +1,4 @@
-//! Decides when an act is sent, and with which lead. This depends on what the mission knows beyond the act itself.
+//! Decides when the scripts of an act are sent, and with which lead time. The decision depends on the whole mission, not only on the act.
 
 use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Timestamp, encode};
 
@@ -10,26 +10,26 @@ use super::robot_state::{Link, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
-/// An act that follows another is sent at most this long before its latest sending time.
+/// How long before its latest sending time an act that follows another is sent at the earliest.
 const AHEAD: Span = Span::from_millis(2_000);
 /// The longest pending lease of an act that is sent before its latest sending time. With it, the act survives a link that freezes for a
 /// moment while other acts play.
 const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
-/// Interval between checks whether the clocks of robots that still play allow the next act.
+/// Interval between checks whether the next act may be sent, given the clocks of robots that still play.
 const LOOK_AGAIN: Span = Span::from_millis(100);
 
-/// The shortest delay of a slow machine that is compensated.
+/// The smallest allowance for the delay of a slow machine that is still halved to fit into a lease. A smaller allowance is dropped.
 const HOLD_UP_LEAST: Span = Span::from_millis(5);
 
-/// Additional time to accept an act if no round trip of a robot's link is known, as with `handshake: skip`. The first answer of a
+/// Additional time for robots to accept an act if the round trip of a link is unknown, as with `handshake: skip`. The first answer of a
 /// robot may be slow.
 const UNMEASURED: Span = Span::from_millis(500);
 
 /// Time for robots to answer before an act is promised, in addition to three round trips.
 const ANSWERED_WITHIN: Span = Span::from_millis(200);
 
-/// What an act needs before it can start.
+/// The timing that an act needs: its lead time, its pace, and the robot with the slowest link.
 struct Need {
     lead: LeadTime,
     pace: Pace,
@@ -99,8 +99,8 @@ impl Mission {
         self.send_act(now, index, need);
     }
 
-    /// Handles robots that would jump. Robots that joined late are left out, whatever the policy, because the others could begin without
-    /// them. Any other robot fails.
+    /// Handles robots whose devices would have to jump at the start of an act. Robots that joined late are left out, whatever the policy,
+    /// because the others could begin without them. Any other robot fails.
     fn refuse_jumps(&mut self, now: Timestamp<Server>, index: usize, jumping: Vec<(usize, FailureKind)>) {
         let (joined, failing): (Vec<_>, Vec<_>) =
             jumping.into_iter().partition(|(robot, _)| self.robots[*robot].joined_late);
@@ -152,8 +152,8 @@ impl Mission {
         slow.map(|(_, robot, kind)| (robot, kind)).collect()
     }
 
-    /// The time by which answers are due that show whether a link is always slow or was slow once. Waiting for them costs less time than
-    /// they may save in the lead.
+    /// The time by which the pending answers are due that show whether a link is always slow or was slow only once; `None` if no such
+    /// answer is pending. Waiting for them takes less time than they may save in the lead time.
     fn links_known_at(&self, act: &Act) -> Option<Timestamp<Server>> {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
@@ -162,13 +162,14 @@ impl Mission {
             .max()
     }
 
-    /// Whether a robot still has a part in an act before this one. The robot fits that earlier act, whichever act comes next.
+    /// Whether a robot still has a part in an act before this one. Such a robot can finish the earlier act, even if it does not fit this
+    /// one.
     fn plays_before(&self, index: usize, robot: usize) -> bool {
         self.acts[..index].iter().any(|act| act.has_something_on(robot))
     }
 
     /// Whether a robot would lose its lease of an earlier act that it still plays or holds, if it received nothing for `silence`. The
-    /// error of its clock can cause this: it may even have to begin a script that the others have already ended.
+    /// error of its clock can cause this: the robot may not even have begun a script that the others have already ended.
     fn leaves_alone(&self, index: usize, silence: Span) -> bool {
         let (before, act) = (&self.acts[..index], &self.acts[index]);
         let both = |other: &&Act| act.present().any(|member| other.has_something_on(member.robot));
@@ -176,8 +177,8 @@ impl Mission {
         leases.min().is_some_and(|lease| lease < silence)
     }
 
-    /// Waits for the disk, because a promise must be stored before it is sent. A disk that has stalled beyond the patience ends the
-    /// mission.
+    /// Waits for the disk, because a promise must be stored before it is sent. If the disk stalls for longer than `patience`, the mission
+    /// ends.
     fn await_disk(&mut self, now: Timestamp<Server>, index: usize) {
         let (within, since) = (self.options.patience, self.acts[index].since());
         if now < since + within {
@@ -199,7 +200,7 @@ impl Mission {
         SkewBudget::ahead(act.present(), &self.robots, tolerance, (now, start))
     }
 
-    /// The indices of members whose clock must be measured and has not been, as after a resumption.
+    /// The indices of robots of the act whose clocks must be measured but have not been, for example after a mission was resumed.
     fn unknown_clocks(&self, act: &Act) -> Vec<usize> {
         let full = self.options.greeting == Greeting::Full;
         let unknown = |robot: &usize| {
@@ -227,8 +228,8 @@ impl Mission {
         self.fail_all(now, unknown.into_iter().map(silent).collect());
     }
 
-    /// Members whose clock was measured only on an earlier link, and the instant by which each must answer on its new link. A robot that
-    /// does not identify itself by then is treated like one without a link.
+    /// The robots of an act whose clocks were measured only on an earlier link, each with its deadline for an answer on its new link. A
+    /// robot that does not identify itself by that deadline is treated like one without a link.
     fn unmeasured_on_new_links(&self, now: Timestamp<Server>, act: &Act) -> Vec<(usize, Timestamp<Server>)> {
         let unmeasured = |robot: usize| {
             let state = &self.robots[robot];
@@ -241,8 +242,9 @@ impl Mission {
         act.present().filter_map(|member| unmeasured(member.robot)).collect()
     }
 
-    /// Tries to reach members without a link, because one of them may be back with another clock. If an attempt is still pending, returns
-    /// the deadline of the attempts. The act is promised even to a robot that cannot be reached: it may be back in time.
+    /// Tries to reach robots of the act without a link, because such a robot may come back with a different clock. If an attempt is still
+    /// pending, returns the deadline of the attempts. The act is promised even to a robot that cannot be reached, because it may come
+    /// back in time.
     fn await_links(&mut self, now: Timestamp<Server>, index: usize, lead: Span) -> Option<Timestamp<Server>> {
         let act = &mut self.acts[index];
         let failed = |robot: usize| match &self.robots[robot].link {
@@ -287,7 +289,8 @@ impl Mission {
         self.acts[index].look_again_at(due);
     }
 
-    /// Ends the mission because a lead or a lease is too short. If nothing has moved yet, nothing is sent at all.
+    /// Ends the mission because a lead time or a lease is too short. If no robot holds anything that could move it, not even a stop is
+    /// sent.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
         if self.robots.iter().all(RobotState::holds_nothing) {
             self.refuse(outcome)
@@ -296,15 +299,15 @@ impl Mission {
         }
     }
 
-    /// The requirements of an act. They allow for the lateness of this machine if the times that the scenario or the operator prescribes
-    /// leave room for it.
+    /// The timing that an act needs. It allows for the lateness of this machine if the times that the scenario or the operator prescribes
+    /// leave room for that.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
         need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
     }
 
-    /// The requirements of an act with this lateness. They also allow for the delay of a slow machine, halved until it fits into a lease
-    /// that the scenario prescribes.
+    /// The timing that an act needs on a machine with this lateness. It also allows for the last delay of this machine (`hold_up`), which
+    /// is halved until it fits into a lease that the scenario prescribes.
     fn need_with_lateness(
         &self,
         lateness: Span,
@@ -397,7 +400,7 @@ impl Mission {
         self.options.lead.or(act.written().plan.lead).filter(|_| act.target().is_none())
     }
 
-    /// Checks the start or lead that the operator prescribes. It is kept or refused, never silently delayed.
+    /// Checks the prescribed start or lead time of an act. The act keeps it or is refused; its start is never silently delayed.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
         let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
@@ -445,8 +448,8 @@ impl Mission {
         self.quicken_rounds(now, lease);
     }
 
-    /// The largest time by which a measured clock has gone back since its robot's scripts of another act were translated. The next act
-    /// must not overlap those scripts by that time.
+    /// The largest amount by which a robot's measured clock has gone back since the robot's scripts of another act were translated to
+    /// that clock. The next act starts later by this amount, so that it does not overlap those scripts.
     fn slip(&self, act: &Act, now: Timestamp<Server>) -> Span {
         let earlier = |member: &Member| {
             let robot = &self.robots[member.robot];
@@ -462,7 +465,7 @@ impl Mission {
     }
 }
 
-/// The time within which a robot has to answer a question for its positions, or any question after it has reconnected.
+/// The time within which a robot must answer a request for its positions, or any question after it has reconnected.
 pub(super) fn answers_within(robot: &RobotState) -> Span {
     lead::counted(robot.round_trip()) * 3 + ANSWERED_WITHIN
 }
@@ -502,7 +505,7 @@ mod tests {
         assert_eq!(bytes(&[("a", 0, 400), ("b", 0, 400)]), 2 * one);
     }
 
-    /// A mission with `acts` acts of one robot. The times last sent to the robot are 7 ms ahead.
+    /// A mission with `acts` acts of one robot. The robot's clock is ahead by `ahead`, but the times last sent to it were 7 ms ahead.
     fn plays(acts: u32, clock: ClockMode, ahead: Span) -> Mission {
         let choreography = played(&[&[("a", 0, 400)]]);
         let participants = vec![Participant::new(RobotId::new("r0").unwrap(), None)];

@@ -12,8 +12,8 @@ pub(crate) struct OwedReadings(Vec<Owed>);
 struct Owed {
     id: RequestId,
     device: DeviceId,
-    /// The purpose of the reading; `None` if the answer is no longer awaited. Without ids, a late answer must not be assigned to a later
-    /// question.
+    /// The purpose of the reading; `None` if the answer is no longer awaited. The entry is kept, so that a late answer without an id is
+    /// not assigned to a later request.
     what: Option<Reading>,
 }
 

@@ -1,4 +1,4 @@
-//! The records of a mission: enough to know after a crash which scripts were promised to which robot.
+//! The records that a mission writes to its journal. After a crash, they show which scripts were promised to which robot.
 
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
@@ -13,7 +13,7 @@ use super::{ActFate, ActReport, Failure, Outcome, Rest};
 pub enum Record {
     /// The mission has begun.
     Begun,
-    /// The fleet has been checked. Acts begin, or wait.
+    /// The fleet has been checked. From this record on, acts begin or wait.
     Checked,
     /// The operator permits a waiting act to begin.
     Go {
@@ -32,7 +32,7 @@ pub enum Record {
         /// Robots that do not recognize requests by their ids.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
-        /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
+        /// The length of the interval before the start in which the mission may notice too late that a robot has gone silent.
         #[serde(rename = "doubt_ms")]
         doubt: Span,
     },
@@ -42,7 +42,8 @@ pub enum Record {
         /// The number of the act.
         number: u32,
     },
-    /// An act lapses while another act plays. The lapsing act is not committed, even if its commitment was recorded ahead of time.
+    /// An act lapses while another act plays: it is not committed, and its leases end. This applies even if its commitment was recorded
+    /// ahead of time.
     Lapsing {
         /// The number of the act.
         number: u32,
@@ -57,7 +58,7 @@ pub enum Record {
     },
     /// A robot has failed.
     Failed(Failure),
-    /// A robot is left out.
+    /// A robot is left out of the mission.
     Dropped {
         /// The robot's id.
         robot: RobotId,
@@ -125,10 +126,10 @@ impl Record {
     }
 }
 
-/// The text in the JSON of a [`Record::ActEnded`] that follows the time of its line.
+/// The text that follows the time in the JSON of a [`Record::ActEnded`].
 pub(super) const ENDED_ACT: &[u8] = br#","record":"act_ended","#;
 
-/// The fields of [`Record::ActEnded`], but only the part of the report that `Report` reads.
+/// The fields of [`Record::ActEnded`]. The type `Report` determines which fields of the report are read.
 #[derive(Deserialize)]
 pub(super) struct EndedAct<Report> {
     pub(super) report: Report,
@@ -140,7 +141,7 @@ pub(super) struct EndedAct<Report> {
     pub(super) again: bool,
 }
 
-/// The fate of an ended act of the scenario, for another process.
+/// The fate of an ended act of the scenario, recorded for a process that takes over the mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActOver {
     /// Index of the act in the choreography.
@@ -154,7 +155,7 @@ pub struct ActOver {
 /// them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActFlaws {
-    /// Robots with a part in the act for which the fate of a script is unknown.
+    /// The robots of the act that have a script whose fate is unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unaccounted: Vec<RobotId>,
     /// Set if starts were further apart, or further off the plan, than the scenario allows.
@@ -187,7 +188,7 @@ pub struct StepsLate {
     pub tolerance: Span,
 }
 
-/// The promise that a mission makes to the robots of an act.
+/// The promise that a mission makes to the robots of an act: its scripts, and when they start.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     /// The number of the act in the mission.
@@ -196,7 +197,7 @@ pub struct Promise {
     pub act: usize,
     /// The sending timestamp that all requests share.
     pub timestamp: Timestamp<Server>,
-    /// The start of the first cue.
+    /// The start of the act's first cue.
     pub start: Timestamp<Server>,
     /// The pending lease of the requests.
     #[serde(rename = "lease_ms")]
@@ -217,7 +218,7 @@ pub struct PromisedScript {
     pub device: DeviceId,
     /// The request's id.
     pub request_id: RequestId,
-    /// The hash of the content to which the request's id was bound.
+    /// The hash of the request's content, which is bound to the request's id.
     pub content_hash: ContentHash,
     /// The offset added to the request's timestamp for this robot's clock.
     #[serde(rename = "shift_ms")]

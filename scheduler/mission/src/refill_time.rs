@@ -1,7 +1,7 @@
 //! Checks whether each script that does not fit into its device's queue at first can be sent in time, on the links as measured.
 //!
-//! A robot refuses a script that arrives late, in mid-show. `check` finds scripts that no link could deliver in time. This module finds
-//! scripts that the current links cannot deliver in time, before anything has moved.
+//! A robot refuses a script that arrives late, even in the middle of a show. The command `check` finds scripts that no link could deliver
+//! in time. Before anything has moved, this module finds scripts that the current links cannot deliver in time.
 
 use downbeat_plan::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
@@ -29,8 +29,8 @@ impl Mission {
         }
     }
 
-    /// Whether a later script of an act could not be sent in time if the act followed the one that still plays. The greeting considered
-    /// the devices empty, because the act waits for a time. That time has passed.
+    /// Whether a later script of an act could not be sent in time if the act followed the one that still plays. The greeting did not
+    /// check this: it assumed that an act that waits for a time finds the devices' queues empty. Here, that time has already passed.
     pub(super) fn is_too_tight_behind(&self, now: Timestamp<Server>, index: usize) -> bool {
         let act = &self.acts[index];
         let before = index.checked_sub(1).map(|before| &self.acts[before]);
@@ -48,7 +48,7 @@ impl Mission {
         })
     }
 
-    /// The number of scripts that a device can hold, as its robot has reported.
+    /// The number of scripts that a device can hold, as its robot has reported; `None` if the robot or the device is not described.
     fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
         let state = self.robots.iter().find(|state| state.id == *robot)?;
         Some(state.block.as_ref()?.device(device.as_str())?.script_queue)
@@ -60,7 +60,8 @@ impl Mission {
 }
 
 /// The minimum time to send a script for which a slot becomes free: the robot reports the end of the previous script, then receives the
-/// next one. If the robot does not report by itself, the scheduler waits for that end, as late as the robot's clock may be, and asks.
+/// next one. If the robot does not report by itself, the scheduler asks once the script must have ended, even by the slowest possible
+/// clock.
 fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
     // A few exchanges rarely include the longest one, especially if they differ a lot. A robot plays no part of a late script.
     let round_trip = robot.round_trip();
@@ -112,8 +113,8 @@ mod tests {
         assert!((ms(50)..=ms(52)).contains(&measured), "{measured}");
     }
 
-    /// Two robots with two scripts each, ten milliseconds apart. Their devices hold `queue` scripts, and their links have these round
-    /// trips.
+    /// A mission that has greeted two robots with two scripts each, ten milliseconds apart. Their devices hold `queue` scripts, and their
+    /// links have these round trips.
     fn greeted(queue: usize, round_trips: [Span; 2]) -> Mission {
         let scripts: &[bench::Planned] = &[("a", 0, 400), ("a", 410, 400)];
         let mut choreography = bench::choreography(&[scripts; 2]);

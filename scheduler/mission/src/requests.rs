@@ -12,9 +12,9 @@ use super::robot_state::{SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
 
-/// The minimum duration assumed for a durable record.
+/// The minimum time that writing a durable record is assumed to take.
 const RECORDING: Span = Span::from_millis(30);
-/// The maximum duration allowed for a durable record. With a slower disk, the commitment is too late.
+/// The maximum time that is allowed for writing a durable record. With a slower disk, an act is committed too late.
 const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
@@ -92,9 +92,9 @@ impl Mission {
         }
     }
 
-    /// Handles a robot that refuses the stop because it now belongs to another session. This is reported once. The operator's stop is
-    /// repeated, because the robot may become free. A mission that has failed leaves the robot to the other session, so that no later
-    /// stop affects that session.
+    /// Handles a robot that refuses the stop because it now belongs to another session. The refusal is reported once. If the operator
+    /// requested the stop, it is repeated, because the robot may become free. A mission that has failed leaves the robot to the other
+    /// session, so that no later stop affects that session.
     fn stop_refused(&mut self, robot: usize) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
         if let Stop::Sent(sent) = &mut self.robots[robot].stop {
@@ -161,8 +161,8 @@ impl Mission {
         }
     }
 
-    /// Sends a message. While an act of the robot approaches its start, the message follows a question that carries the lease. Between
-    /// the critical instant and the commitment, it waits.
+    /// Sends a message. While an act of the robot approaches its start, a question that carries the lease is sent ahead of the message.
+    /// Between the critical instant (when the scheduler stops sending before a start) and the commitment, the message is deferred.
     pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
         let waits = |act: &Act| act.holds_messages_to(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
@@ -176,7 +176,8 @@ impl Mission {
         self.post(now, robot, message);
     }
 
-    /// Sets the limit of a script that is sent now. Only an inquiry extends it, so a robot without inquiries gets none.
+    /// Sets `pending_until`, the limit after which a robot drops a script that is not decided. Only an inquiry extends the limit, so a
+    /// robot without inquiries gets none.
     fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
         let Message::ControlRequest(request) = message else { return };
         let state = &self.robots[robot];
@@ -187,7 +188,7 @@ impl Mission {
         request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
     }
 
-    /// Sends the deferred messages.
+    /// Sends the messages that were deferred until an act was committed or withdrawn.
     pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
         for (robot, message) in std::mem::take(&mut self.deferred) {
             let is_script =
@@ -279,14 +280,15 @@ const fn names_nothing(response: &ControlResponse) -> bool {
     response.request_id.is_none() && may_be_for_a_stop(response)
 }
 
-/// Whether an `OK` may answer a stop. The response at the end of a script contains the last value of the script, but a stop sets no
-/// value.
+/// Whether an `OK` response may answer a stop. The response at the end of a script contains the last value of the script, but a stop sets
+/// no value.
 #[must_use]
 pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
     matches!((&response.status_value, response.steps_done), (StatusValue::Null, None | Some(0)))
 }
 
-/// The script to which a response without an id belongs. The responses of a device arrive in the order of its scripts.
+/// The script to which a response without an id belongs; `None` if the response has an id or fits no script. The responses of a device
+/// arrive in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
     (robot, says): (usize, Says),

@@ -5,7 +5,7 @@ use downbeat_plan::{Ceiling, Choreography, Floor, Requirements, Share};
 use serde::Serialize;
 use urrcp::Span;
 
-/// The figures by which the requirements of a scenario are judged; `None` if unknown.
+/// The figures by which the requirements of a scenario are judged; each is `None` if unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
     /// Number of trials that were played. `None` for a single dry run, whose only spread may be in `spread_max`.
@@ -18,7 +18,7 @@ pub struct Figures {
     pub spread_max: Option<Span>,
     /// Number of trials in which the mission started.
     pub starts: Option<u64>,
-    /// Number of trials whose mission was done.
+    /// Number of trials whose mission had the outcome `done`.
     pub finishes: Option<u64>,
     /// The closest approach of any two bodies, in metres from surface to surface.
     pub closest: Option<f64>,
@@ -73,8 +73,8 @@ impl Judgement {
     }
 }
 
-/// The closest approach of any two bodies, if it answers the requirement. `None` if it meets the requirement, but a body at an unknown
-/// position might come closer.
+/// The closest approach of any two bodies, if it suffices to judge the requirement. `None` if it meets the requirement, but a body at an
+/// unknown position might come closer.
 #[must_use]
 pub fn closest_of(choreography: &Choreography) -> Option<f64> {
     let (_, closest) = choreography.closest()?;

@@ -1,4 +1,4 @@
-//! Takes over the promises of another process that died: to finish them, or to withdraw them.
+//! Takes over the promises of a mission whose process has died, in order to finish or to withdraw them.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ pub struct Changed {
 }
 
 impl Mission {
-    /// A mission that continues the acts that another process decided before it died. `ended` contains the reports of the acts
+    /// A mission that continues the acts that another process decided to start before it died. `ended` contains the reports of the acts
     /// that had ended before.
     ///
     /// # Errors
@@ -103,7 +103,7 @@ impl Mission {
         self.start_was_fixed |= self.reports_omitted > 0;
     }
 
-    /// Notes that the act has begun: the operator fixes only its first start.
+    /// Notes that an act has begun. A start that the operator fixes applies only to the first start of that act.
     fn note_begun(&mut self, act: Option<usize>) {
         self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
@@ -112,7 +112,7 @@ impl Mission {
         self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
     }
 
-    /// Marks robots of an act as absent that were not among the act's members. They may join.
+    /// Marks robots as absent that have a part in an act, but were missing when it was sent. They may join later.
     fn note_late_joiners(
         &mut self,
         act: usize,
@@ -167,7 +167,7 @@ impl Mission {
         }
     }
 
-    /// Notes what another process has left on a robot, if anything.
+    /// Notes the moved devices and the leases that another process has left on a robot, if any.
     fn holds_still(&mut self, robot: usize, left: &Left, now: Timestamp<Server>) {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
@@ -182,7 +182,7 @@ impl Mission {
     }
 
     /// A mission that only withdraws what another process has left on its robots. `scenario` is the name of the scenario that the other
-    /// process played. An outcome that contradicts `left.moved` is corrected. The reason is for users.
+    /// process played. An outcome that contradicts `left.moved` is corrected. The reason is text for users.
     #[must_use]
     pub fn withdraw(
         scenario: String,

@@ -27,10 +27,10 @@ pub(crate) enum Link {
     /// The first connection is being made.
     Connecting,
     /// The link is connected, but the robot has not identified itself yet. Only the question for its identity, and stops, are sent.
-    /// `unheard` is as in [`Link::Up`].
+    /// `unheard` is the previous loss of the link, as in [`Link::Up`].
     Unnamed { since: Timestamp<Server>, unheard: Option<Lost> },
-    /// The link is connected to the right robot. `unheard` is the previous loss, until something is received on the new link. A link that
-    /// is accepted and closed again and again is equivalent to none.
+    /// The link is connected to the right robot. `unheard` is the previous loss of the link, until a message arrives on the new link. A
+    /// link that is repeatedly accepted and closed is therefore treated as lost.
     Up { unheard: Option<Lost> },
     /// The link broke, or could not be made.
     Lost(Lost),
@@ -47,7 +47,7 @@ pub(crate) struct Lost {
     pub(crate) failed: Timestamp<Server>,
     /// Whether a new connection is being made.
     pub(crate) connecting: bool,
-    /// The time at which the mission gives up the robot; `None`: not scheduled.
+    /// The time at which the mission gives up the robot; `None` if that is not scheduled.
     pub(crate) give_up: Option<Timestamp<Server>>,
 }
 
@@ -85,8 +85,8 @@ pub(crate) struct SentStop {
     /// The error with which the robot refused the stop, if it belongs to another session. Such a robot no longer holds anything of this
     /// session.
     pub(crate) taken_over: Option<ControlError>,
-    /// Whether the stop is no longer repeated, because this mission has lost the robot to another session and only this mission wants it
-    /// to rest.
+    /// Whether the stop is no longer repeated, because the robot now belongs to another session and the operator did not request the
+    /// stop.
     pub(crate) given_up: bool,
 }
 
@@ -118,7 +118,7 @@ pub(crate) enum Reading {
     Motion(u32, usize),
 }
 
-/// A robot's sums over the acts that have ended.
+/// A robot's totals over all acts that have ended.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Totals {
     /// Number of planned scripts.
@@ -166,20 +166,21 @@ impl Totals {
     }
 }
 
-/// The questions for a robot's times, and whether the robot has answered them.
+/// The questions that ask for the times of a robot's clock, and whether the robot has answered them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Questions {
     /// The sending times of the unanswered questions, oldest first.
     open: VecDeque<Timestamp<Server>>,
     /// The sending time of the newest answered question.
     answered: Option<Timestamp<Server>>,
-    /// Whether a question remains unanswered that was asked between the newest answered question and the one answered before it.
+    /// Whether a question is unanswered that was asked before the newest answered question, but after the one answered before that.
     passed_over: bool,
-    /// The sending time of the newest question whose answer is no longer expected, but which may have been received.
+    /// The sending time of the newest question whose answer is no longer expected. The robot may nevertheless have received that
+    /// question.
     forgiven: Option<Timestamp<Server>>,
 }
 
-/// The maximum number of remembered questions; more are open only on a link that carries nothing.
+/// The maximum number of unanswered questions that are remembered. More are unanswered only on a link that carries nothing.
 const OPEN_MAX: usize = 64;
 
 impl Questions {
@@ -204,7 +205,7 @@ impl Questions {
         self.answered
     }
 
-    /// Whether questions before the newest answered one were asked that may not have reached the robot.
+    /// Whether a question that was asked before the newest answered one may not have reached the robot.
     pub(crate) const fn passed_over(&self) -> bool {
         self.passed_over
     }
@@ -241,7 +242,7 @@ pub(crate) struct RobotState {
     pub(crate) proven: bool,
     /// The expiry of the robot's certificate, if it has presented one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
-    /// The robot's owner, during the greeting.
+    /// The session to which the robot belongs, as known during the greeting.
     pub(crate) ownership: Ownership,
     pub(crate) link: Link,
     /// The time at which the newest link was made, if an earlier one had broken.
@@ -253,14 +254,14 @@ pub(crate) struct RobotState {
     pub(crate) joined_late: bool,
     /// Whether the robot's devices may no longer be where the greeting found them, because the robot joined late or is on a new link.
     pub(crate) unplaced: bool,
-    /// Devices that a stop has left at positions that the next act with them may not expect.
+    /// Devices that a stop has left at positions that the next act with these devices may not expect.
     pub(crate) adrift: BTreeSet<DeviceId>,
-    /// The last question about positions before an act on this link.
+    /// The last request for positions before an act, on the current link.
     pub(crate) positions_asked: Option<PositionsAsked>,
     /// Whether the robot was missing when an act in which it has a part was sent.
     pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
-    /// Whether the robot has sent its own block in this mission.
+    /// Whether the robot itself has sent its initialization block (its description) in this mission.
     pub(crate) introduced: bool,
     /// The latencies that the robot declares, if they differ from the compensated ones.
     pub(crate) latency_differs: Option<LatencyDiffers>,
@@ -285,7 +286,7 @@ pub(crate) struct RobotState {
     pub(crate) commanded: BTreeMap<DeviceId, f64>,
     /// Number of pending answers about commanded positions.
     pub(crate) positions_owed: usize,
-    /// Readings of the robot's other sensors, on which nothing depends.
+    /// Readings of the robot's other sensors, which are only displayed.
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
     /// The reason why a device gave no reading, in the robot's words.
     pub(crate) unread: BTreeMap<DeviceId, String>,
@@ -299,8 +300,8 @@ pub(crate) struct RobotState {
     pub(crate) stop: Stop,
     /// Whether the mission has reported that the robot has confirmed its stop.
     pub(crate) rest_reported: bool,
-    /// Set once the robot has lost a script that another process may still run: the end of the script's lease, or `Some(None)` without a
-    /// lease.
+    /// Set once the robot's current process has lost a script that an earlier process may still run. Contains the end of the script's
+    /// lease, or `Some(None)` if the script has no lease.
     pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
     /// The ends of the leases of the requests that the robot still held at the end of an act; `None` for a request without a lease.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
@@ -318,15 +319,15 @@ pub(crate) struct RobotState {
 /// The pause before the second attempt to reconnect to a robot, doubled with every attempt. The first attempt is immediate.
 const RETRY_AFTER: Span = Span::from_millis(10);
 const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
-/// The longest time for which a message that a question overtakes may be under way.
+/// The longest time for which a message may still be under way after a later question has overtaken it.
 const UNDER_WAY: Span = Span::from_millis(1_000);
 
-/// A question for the positions of a robot's devices before an act.
+/// A request for the positions of a robot's devices before an act.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionsAsked {
     pub(crate) act: u32,
     pub(crate) at: Timestamp<Server>,
-    /// The time at which the act first asked.
+    /// The time of the first request for positions before this act.
     pub(crate) since: Timestamp<Server>,
     /// The positions of adrift devices in the previous answer.
     pub(crate) before: BTreeMap<DeviceId, f64>,
@@ -459,8 +460,8 @@ impl RobotState {
         self.positions_asked = None;
     }
 
-    /// The time at which the robot's link was made. `None` unless the clock was measured on an earlier link and the robot has not
-    /// answered on this link yet. The robot may be a new process with another clock.
+    /// The time at which the robot's current link was made, if the clock was measured only on an earlier link. The robot may now be a new
+    /// process with a different clock. `None` once the robot has answered on the current link.
     pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
         let answered = self.questions.answered();
@@ -473,7 +474,7 @@ impl RobotState {
         unknown || self.unmeasured_since().is_some()
     }
 
-    /// Whether scripts may be sent to the robot: no stop was sent, and the robot does not owe its times.
+    /// Whether scripts may be sent to the robot: no stop was sent, and the robot does not owe an answer with the times of its clock.
     pub(crate) fn may_be_sent_scripts(&self) -> bool {
         !self.stop_was_sent() && !self.owes_its_times()
     }
@@ -493,7 +494,8 @@ impl RobotState {
         }
     }
 
-    /// Like `unnamed_since`, but only for the first link of this process. A link that was lost before has its own deadline.
+    /// The time at which the robot's first link was made, if the robot has not identified itself on it yet. After a loss of the link,
+    /// another deadline applies.
     pub(crate) const fn owes_its_name_since(&self) -> Option<Timestamp<Server>> {
         match self.link {
             Link::Unnamed { since, unheard: None } => Some(since),
@@ -505,7 +507,8 @@ impl RobotState {
         matches!(self.link, Link::Up { .. })
     }
 
-    /// The time at which the robot's silence becomes a failure: it owes an answer, and `bound` has elapsed since its last message.
+    /// The time at which the robot's silence becomes a failure: it owes an answer, and `bound` has elapsed since its last message. `None`
+    /// if it owes no answer.
     pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
         let asked = self.questions.unanswered().or(self.owes_its_name_since())?;
         // After a delay of this machine, a question must have had its time.
@@ -550,12 +553,12 @@ impl RobotState {
         matches!(self.ownership, Ownership::OfAnother(_))
     }
 
-    /// The reading of the robot's clock at an instant.
+    /// The reading of the robot's clock at an instant; `None` if the clock was not measured.
     pub(crate) fn clock_at(&self, at: Timestamp<Server>) -> Option<ClockReading> {
         self.clock.reading_at(at)
     }
 
-    /// The round trip that the robot's link nearly always keeps.
+    /// An upper limit that the round trips of the robot's link nearly always keep.
     pub(crate) const fn round_trip(&self) -> Span {
         self.clock.delay_high()
     }
@@ -586,13 +589,13 @@ impl RobotState {
         self.reports() || self.takes_inquiries()
     }
 
-    /// The number of scripts that a device can hold.
+    /// The number of scripts that a device can hold; 1 if the device is not described.
     pub(crate) fn queue_of(&self, device: &DeviceId) -> usize {
         let device = self.block.as_ref().and_then(|block| block.device(device.as_str()));
         device.map_or(1, |device| device.script_queue as usize)
     }
 
-    /// Ends the robot's stop. A robot that was left out stays stopped.
+    /// Marks the robot's stop as over, so that the robot can play again. A robot that was left out stays stopped.
     pub(crate) fn plays_again(&mut self) {
         if self.standing != Standing::Out {
             (self.stop, self.at_rest) = (Stop::None, true);
@@ -619,7 +622,7 @@ impl RobotState {
         self.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }))
     }
 
-    /// Whether the robot was stopped with another kind of rest than `rest`.
+    /// Whether the robot was stopped with a kind of rest other than `rest`.
     pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
         match &self.stop {
             // An earlier stop brought the robot to rest.
@@ -630,7 +633,7 @@ impl RobotState {
     }
 
     /// Whether nothing that this mission sent can still move the robot: it was sent nothing, or it has confirmed its stop. A process that
-    /// replaced another one cannot confirm the stop of that process.
+    /// replaced an earlier process of the robot cannot confirm the stop of the earlier one.
     pub(crate) fn is_settled(&self) -> bool {
         match self.stop {
             Stop::None => self.holds_nothing(),
@@ -639,7 +642,8 @@ impl RobotState {
         }
     }
 
-    /// Whether a script of this mission may still move the robot: its stop is not confirmed, it is not gone, and a lease has not ended.
+    /// Whether a script of this mission may still move the robot: its stop is not confirmed, it is not gone, and not all leases have
+    /// ended.
     pub(crate) fn may_move_at(&self, now: Timestamp<Server>) -> bool {
         let ended = |lease: &Option<Timestamp<Server>>| lease.is_some_and(|ends| ends <= now);
         let rests = !self.left.is_empty() && self.left.iter().all(ended);
@@ -651,14 +655,15 @@ impl RobotState {
         self.touched.is_empty() || self.at_rest
     }
 
-    /// Notes that the process that answers has lost a script. Another process may run that script until its lease ends.
+    /// Notes that the robot's current process has lost a script. An earlier process may run that script until its lease ends at `until`;
+    /// `None` if it has no lease.
     pub(super) fn runs_elsewhere(&mut self, until: Option<Timestamp<Server>>) {
         let before = self.elsewhere.unwrap_or(until);
         self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
     /// Processes a response if it answers a stop request. A response without an id does so only if it cannot belong to a script of its
-    /// device: `open_on` returns whether such a script is open. A process that only withdraws a mission knows no scripts.
+    /// device: `open_on` returns whether such a script is open. A mission that only withdraws another one knows no scripts.
     pub(crate) fn stop_answered(
         &mut self,
         now: Timestamp<Server>,

@@ -15,7 +15,7 @@ use super::claim::{Claim, Told};
 pub(crate) struct ScriptRef {
     /// The number of the script's act in the mission.
     pub(crate) act: u32,
-    /// Index of the robot among the members of the act.
+    /// Index of the robot among the robots (members) of the act.
     pub(crate) member: usize,
     /// Index of the script among the scripts of that member.
     pub(crate) script: usize,
@@ -80,9 +80,9 @@ pub(crate) struct Script {
     content_hash: ContentHash,
     /// The offset added to the timestamp of the script's request, if it differs from the offset of the act.
     shift: Option<Span>,
-    /// Whether another process may have sent the script with an offset that the journal has lost.
+    /// Whether another process may have sent the script with an offset that is missing in the journal.
     shift_is_lost: bool,
-    /// Planned time from the start of the act until the script has started.
+    /// The planned time from the start of the act until the script begins to move its device.
     starts: Span,
     duration: Span,
     running: RunningLeases,
@@ -105,7 +105,7 @@ pub(crate) struct Script {
     reported_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
     first_sent_at: Option<Timestamp<Server>>,
-    /// Whether another process may have sent the script before this one took over, without a report from its robot.
+    /// Whether another process may have sent the script before this process took over, even if its robot has not reported on it.
     perhaps_sent: bool,
     /// Whether the robot no longer knows the script, although it had accepted it.
     lost: bool,
@@ -184,8 +184,8 @@ impl Script {
         self.perhaps_sent || self.first_sent_at != self.sent_at
     }
 
-    /// Planned time from the start of the act until the script has started. On a device that holds its value, a script begins at its
-    /// start, and has started with the first value.
+    /// The planned time from the start of the act until the script begins to move its device. A device that moves linearly does so when
+    /// the script begins; a device that holds its value does so at the first step.
     pub(crate) const fn starts(&self) -> Span {
         self.starts
     }
@@ -195,7 +195,7 @@ impl Script {
         self.duration
     }
 
-    /// The shortest lease under which the script plays.
+    /// The shortest lease under which the script plays; `None` if it always plays without a lease.
     pub(crate) const fn shortest_lease(&self) -> Option<Span> {
         self.running.shortest
     }
@@ -248,7 +248,7 @@ impl Script {
         matches!(self.state, ScriptState::Planned)
     }
 
-    /// Whether the robot has the script, or may have it.
+    /// Whether the script was sent and has not ended, as far as known: the robot has it or may have it.
     pub(crate) const fn is_out(&self) -> bool {
         matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
     }
@@ -328,8 +328,8 @@ impl Script {
         }
     }
 
-    /// Handles a refusal because the queue was still full. The script is sent again with another id, because the robot remembers its
-    /// answer to the first id. A process that died may have used that other id, too.
+    /// Handles a refusal because the device's queue was still full. The script is sent again with another id, because the robot remembers
+    /// its answer to the first id. A process that died may have used that other id, too.
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
         self.refusals += 1;
@@ -347,7 +347,7 @@ impl Script {
         self.steps_said
     }
 
-    /// Notes a possible number of executed steps that the robot reported.
+    /// Notes a plausible number of executed steps that the robot reported.
     pub(super) fn said(&mut self, told: &Told) {
         self.steps_said = self.steps_said.max(told.steps());
     }
@@ -423,8 +423,9 @@ impl Script {
         }
     }
 
-    /// Handles a request that the robot does not know: the request never arrived, or the script is lost. An answer from before the
-    /// request's arrival means nothing, and a question sent at the same instant may have overtaken the request.
+    /// Handles a request that the robot does not know: the request never arrived, or the script is lost. An answer that the robot sent
+    /// before the request arrived is ignored. So is the answer to a question sent at the same instant, because the question may have
+    /// overtaken the request.
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
             ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
@@ -461,7 +462,7 @@ impl Script {
         }
     }
 
-    /// Notes that the script has begun, and when it started; `None` if it has not started yet.
+    /// Notes that the script has begun. `started_at` is the time at which it began to move its device; `None` if it has not done so yet.
     fn begin(&mut self, started_at: Option<Timestamp<Robot>>) -> News {
         self.accepted = true;
         let starts = self.started_at.is_none() && started_at.is_some();
@@ -509,8 +510,8 @@ pub fn promised_name(request_id: &str) -> &str {
     }
 }
 
-/// The error of a robot that accepted another script than the one that was sent: the robot's own hash of the accepted script must be
-/// ours.
+/// The error for a robot that accepted a different script from the one that was sent. The robot's hash of the accepted script must equal
+/// the scheduler's hash.
 fn foreign() -> ControlError {
     let message = "the robot accepted a different script than the one sent (content_hash differs)";
     ControlError::new(ErrorCode::Malformed, message)

@@ -22,8 +22,8 @@ pub(crate) enum Ownership {
 }
 
 impl Mission {
-    /// Handles a refusal of a robot that belongs to another session. Returns whether the mission is to take the robot over: only a robot
-    /// that has proven its identity permits that, and it must not have belonged to this mission yet.
+    /// Handles a refusal of a robot that belongs to another session. Returns whether the mission is to take the robot over: the robot
+    /// must have proven its identity, and must not have belonged to this mission before.
     pub(super) fn is_to_be_seized(&mut self, robot: usize, error: &ControlError) -> bool {
         let greeting = matches!(self.phase, Phase::Greeting { .. });
         let state = &mut self.robots[robot];

@@ -87,19 +87,20 @@ impl RobotSkew {
 }
 
 impl SkewBudget {
-    /// How much later than planned one robot may start; negative if it certainly starts earlier.
+    /// How much later than planned a robot may start; negative if it certainly starts earlier. `None` if the budget does not contain the
+    /// robot.
     pub(crate) fn late_of(&self, robot: &RobotId) -> Option<Span> {
         Some(self.robots[*self.place.get(robot)?].range().1)
     }
 
-    /// The offset of a robot's clock, with its uncertainty: the offset when its scripts were translated, or the offset that remains after
-    /// the translation.
+    /// The offset of a robot's clock, with its uncertainty. If the robot's scripts are translated into its time, this is the offset that
+    /// remains after the translation.
     pub(crate) fn offset_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
         let robot = self.robots.get(*self.place.get(robot)?)?;
         Some((robot.offset, robot.uncertainty))
     }
 
-    /// The skew budget of these members; `None` while the clock of one of them is unknown.
+    /// The skew budget of these robots of an act; `None` while the clock of one of them is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -127,7 +128,7 @@ impl SkewBudget {
         Self::of_robots(skews.collect(), plan.start_tolerance)
     }
 
-    /// The skew budget of members to which an act with this start is sent now. Clocks drift until the start, but translations into a
+    /// The skew budget of robots to which an act with this start is sent now. Clocks drift until the start, but translations into a
     /// robot's time are made now.
     pub(crate) fn ahead<'a>(
         members: impl Iterator<Item = &'a Member>,
@@ -140,7 +141,7 @@ impl SkewBudget {
         })
     }
 
-    /// The skew budget of members to which an act has been sent. Translations into a robot's time are off by the drift of its clock since
+    /// The skew budget of robots to which an act has been sent. Translations into a robot's time are off by the drift of its clock since
     /// then.
     pub(crate) fn of_sent<'a>(
         members: impl Iterator<Item = &'a Member>,
@@ -179,13 +180,13 @@ impl SkewBudget {
         Some(Self { predicted, clocks, tolerance, robots, place })
     }
 
-    /// By how much this robot may start earlier than planned, and by how much later.
+    /// How much earlier and how much later than planned this robot may start. `None` if the budget does not contain the robot.
     pub(crate) fn early_and_late_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
         let (earliest, latest) = self.robots[*self.place.get(robot)?].range();
         Some(((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO)))
     }
 
-    /// By how much any robot may start earlier than planned, and by how much later.
+    /// How much earlier and how much later than planned any robot may start.
     pub(crate) fn early_and_late(&self) -> (Span, Span) {
         let earliest = self.robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
         let latest = self.robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Stopping: every device to which anything was sent gets an empty script and comes to rest.
+//! Stops robots: every device to which anything was sent gets an empty script and comes to rest.
 
 use std::collections::HashMap;
 
@@ -72,7 +72,7 @@ impl Mission {
         }
     }
 
-    /// Stops the mission because the journal is lost, so that no further promise is possible.
+    /// Stops the mission because the journal is lost, so that no further scripts can be promised to robots.
     pub(super) fn journal_lost(&mut self, now: Timestamp<Server>, reason: String) {
         self.tell(Progress::JournalLost { reason: reason.clone() });
         let outcome = Outcome::JournalLost { reason };
@@ -87,7 +87,8 @@ impl Mission {
         }
     }
 
-    /// Withdraws everything that was sent. Renewals stop here, so leases end the scripts that no message reaches.
+    /// Stops the mission and withdraws everything that was sent. Leases are no longer renewed, so they end the scripts of robots that no
+    /// message reaches.
     pub(super) fn abort(
         &mut self,
         now: Timestamp<Server>,
@@ -158,9 +159,9 @@ impl Mission {
         self.send_stops(now, robot);
     }
 
-    /// Ends the leases of the uncommitted scripts. The stop of one device renews the leases of the others. If this process dies in
-    /// between, the other devices must not start uncommitted scripts. Questions ahead of the stops make all those leases end before the
-    /// start.
+    /// Ahead of the stops, sends questions that make the leases of all uncommitted scripts end before their start. The stop of one device
+    /// renews the leases of the robot's other devices. If this process dies between two stops, those devices must not start uncommitted
+    /// scripts.
     pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
@@ -211,8 +212,8 @@ impl Mission {
         self.stop_progress(now);
     }
 
-    /// Repeats the stop on a new link to a robot. If one process has confirmed the stop in place of another one, that other process may
-    /// answer now.
+    /// Repeats the stop on a new link to a robot. If a new process of the robot has confirmed the stop in place of an earlier one, the
+    /// earlier process may answer now.
     pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &mut self.robots[robot];
         let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
@@ -277,7 +278,7 @@ impl Mission {
         }
     }
 
-    /// Ends the stop, confirmed or not: with the end of the mission, or with the act that a failure policy requests.
+    /// Ends the stop, whether it was confirmed or not. The mission then ends, or continues with the act that a failure policy requests.
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
         self.tell_unreached();
         self.report_all_at_rest();
@@ -353,7 +354,8 @@ impl Mission {
         }
     }
 
-    /// Confirms the stops of robots that have lost scripts, once the leases have ended under which other processes may run them.
+    /// Confirms the stops of robots that have lost scripts. Other processes may run these scripts, so this waits until the scripts'
+    /// leases have ended.
     pub(super) fn other_processes_rest(&mut self, now: Timestamp<Server>) {
         for robot in 0..self.robots.len() {
             if self.phase == Phase::Ended {
@@ -379,7 +381,7 @@ impl Mission {
         self.report_rest(now, robot);
     }
 
-    /// Reports that a robot has confirmed its stop, once nothing contradicts that.
+    /// Reports that a robot has confirmed its stop, unless it still has to report the fate of a script.
     pub(super) fn report_rest(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.may_report_rest(robot) && !self.owes_a_fate(robot) {
             self.tell_at_rest(robot);

@@ -29,7 +29,7 @@ use super::*;
 use crate::clock::ClockSample;
 use crate::session::Session;
 
-/// Two acts, `one` and `two`, that one robot plays. The act with the index `waiting` waits for the operator.
+/// A mission with two acts, `one` and `two`, that one robot plays. The act with the index `waiting` waits for the operator.
 fn waits_in(waiting: usize) -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)]]);
     let two = choreography.acts[0].clone();
@@ -70,7 +70,7 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     answers(&mut mission, None, Err("the mission is over"));
 }
 
-/// One act that begins at once. Its robot has these abilities.
+/// A mission with one act that begins at once. `tells` are the abilities of its robot.
 fn begins_at_once(tells: Tells) -> Mission {
     one_act(tells, 400)
 }
@@ -95,7 +95,7 @@ fn scripts_in(actions: &[Action]) -> Vec<RequestId> {
     actions.iter().filter_map(script).collect()
 }
 
-/// Handles an event, with a disk that is finished immediately.
+/// Handles an event, with a disk that stores records immediately.
 fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<Action> {
     let mut actions = mission.handle(now, event);
     actions.extend(mission.advance(now));
@@ -130,7 +130,7 @@ fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_jus
     assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
 }
 
-/// An act that was sent, removed from its mission, with the mission and the act's report.
+/// A mission, the act that it has sent (already removed from it), and the act's report.
 fn sent_act() -> (Mission, Act, ActReport) {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -207,7 +207,7 @@ fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted()
     }
 }
 
-/// A mission that performs and asks on each new link which robot answers. The link broke and was re-established.
+/// A mission in the phase `Performing` whose link broke and was re-established. On each new link, the mission asks which robot answers.
 fn reconnected() -> Mission {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -343,7 +343,7 @@ fn a_script_that_waited_for_the_commitment_is_not_sent_behind_the_stop_of_its_ro
     }
 }
 
-/// Two acts: `r0` alone plays the first one, `r1` the second one.
+/// A mission with two acts: `r0` alone plays the first one, and `r1` alone plays the second one.
 fn one_after_the_other() -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     let two = choreography.acts[0].clone();
@@ -391,7 +391,8 @@ fn steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_l
     }
 }
 
-/// A mission that still asks its robot. The robot's clock has this offset, and the exchange this delay.
+/// A mission that still greets its robot, after one exchange of timestamps. `offset` is the offset of the robot's clock, and `delay` the
+/// round trip, in milliseconds.
 fn greets_a_clock(offset: i64, delay: i64) -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
@@ -617,7 +618,7 @@ fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
     assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
 }
 
-/// The end of the lease of the script of [`sent_act`] that is left on its robot.
+/// The time at which the script of [`sent_act`] that its robot still has is ended by a lease.
 fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
     act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
 }

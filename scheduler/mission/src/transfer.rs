@@ -47,7 +47,7 @@ pub trait PlanTransfer: fmt::Debug + Send + Sync {
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum TransferReport {
-    /// An act was planned. `course` and `acts` contain it.
+    /// An act was planned. The lists `course` and `acts` of the report contain it.
     Planned {
         /// The name of the act.
         act: String,
@@ -64,11 +64,11 @@ pub enum TransferReport {
     },
 }
 
-/// The state of the act that is planned after a stop.
+/// The state of the act that is planned after a stop, from the request for it to the arrival of the robots.
 #[derive(Debug, Default)]
 pub(super) struct Transfer {
     stage: Stage,
-    /// The first uses of the devices of each robot, from the next act on.
+    /// For each robot: the first use of each device, starting with the next act, and the device's largest speed in the act of that use.
     firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     /// The positions that each robot reported last, by its index in the mission.
     poses: BTreeMap<usize, Pose>,
@@ -106,7 +106,7 @@ impl Transfer {
 }
 
 impl Mission {
-    /// Returns how robots are stopped first. If the mission can plan the move home, the robots come to rest in place.
+    /// Notes whether a move home is requested, and returns how robots come to rest first: in place, if the mission can plan that move.
     pub(super) fn rest_first(&mut self, rest: Rest) -> Rest {
         let plans = self.options.transfer.is_some();
         let like = self.acts.first().map_or(self.options.first_act, Act::index);
@@ -118,7 +118,7 @@ impl Mission {
         if plans { Rest::InPlace } else { rest }
     }
 
-    /// Requests an approach to this act after the stop, unless the robots go home first.
+    /// Requests an approach (a move to the first positions of this act) after the stop, unless the robots go home first.
     pub(super) fn approaches(&mut self, act: usize) {
         if self.transfer.stage == Stage::Unwanted && self.options.transfer.is_some() {
             self.transfer.stage = Stage::Wanted { to: Destination::Act(act), like: act };
@@ -127,7 +127,7 @@ impl Mission {
         }
     }
 
-    /// Keeps the robots where they are, because no further promise is possible.
+    /// Keeps the robots where they are, because the journal is lost and no further scripts can be promised.
     pub(super) fn stays(&mut self) {
         if self.wants_home() {
             let reason = "the journal can no longer be written".to_owned();
@@ -155,7 +155,7 @@ impl Mission {
         matches!(self.transfer.stage, Stage::Wanted { to: Destination::Home, .. })
     }
 
-    /// Adds to the reason for a stop that the move home follows.
+    /// Returns the reason for a stop, and adds that the move home follows if it was requested.
     pub(super) fn with_home(&self, reason: String) -> String {
         if self.wants_home() { format!("{reason}; then home") } else { reason }
     }
@@ -169,7 +169,7 @@ impl Mission {
         can && state.is_up() && state.is_settled() && devices
     }
 
-    /// The devices of a robot that the next act, or an act that follows it, moves. Empty for the move home.
+    /// The devices of a robot that the next act, or a later act that follows it, moves. Empty for the move home.
     fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
         match to {
             Destination::Home => BTreeSet::new(),
@@ -355,7 +355,7 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// Continues the mission after a stop. The mission can no longer end as done.
+    /// Continues the mission after a stop. Its outcome can no longer be `done`.
     pub(super) fn continue_after_stop(&mut self) {
         let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
         self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
@@ -374,7 +374,8 @@ impl Mission {
         }
     }
 
-    /// If the mission ends with the move home, the robots that have done all their steps are in their default state.
+    /// Notes which robots are in their default state at the end of a mission that ends with the move home: those that have done all their
+    /// steps.
     pub(super) fn arrive_home(&mut self) {
         for robot in std::mem::take(&mut self.transfer.there) {
             let state = &mut self.robots[robot];
@@ -386,7 +387,7 @@ impl Mission {
 }
 
 impl RobotState {
-    /// Notes the devices that a stop without a transfer has left at other positions.
+    /// Notes the devices that a stop without a transfer has left at positions that the next act may not expect.
     fn is_left_adrift(&mut self) {
         self.adrift = match self.stop {
             Stop::Confirmed(Rest::Home) => self.devices_without_home(),

@@ -1,5 +1,5 @@
-//! Local times by the rules of the relevant day: the instants at which the clocks show a time, and the time that they show at an instant.
-//! The caller specifies the time zone, because virtual time has none of its own.
+//! Local times by the rules of the relevant day: the instants at which the clocks show a given time, and the time that they show at a
+//! given instant. The caller specifies the time zone, because virtual time has none of its own.
 
 use chrono::{DateTime, Days, FixedOffset, NaiveDateTime, NaiveTime, Offset, SecondsFormat, TimeDelta, Utc};
 use urrcp::{Server, Span, Timestamp};
@@ -15,7 +15,7 @@ pub struct Zone {
     offset: fn(Timestamp<Server>) -> FixedOffset,
 }
 
-/// A time of day that the clocks skip.
+/// A time of day that the clocks skip because they are set forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{} does not exist on {}: clocks go from {} to {}",
@@ -42,7 +42,7 @@ impl Zone {
     /// The first instant, `from` or later, at which the clocks show a time of day. `time` is the time since midnight.
     ///
     /// # Errors
-    /// The clocks skip this time on the next day on which they would show it.
+    /// Fails if the clocks skip this time on the next day on which they would show it.
     pub fn next(self, from: Timestamp<Server>, time: Span) -> Result<Timestamp<Server>, SkippedTime> {
         // If the clocks are set back at midnight, they show times of the previous day again.
         let mut date = self.local(from).date_naive() - Days::new(1);

@@ -1,11 +1,11 @@
-//! Determines when the readings show the first visible motion, for cases in which they contradict the fitted response.
+//! Determines when visible motion starts if the readings contradict the fitted response.
 //!
 //! No device follows exactly like first-order lags. A device with static friction, for example, rests for a while and then catches up:
 //! the best fit starts to move before the device does. Therefore the readings of all trials are overlaid, aligned by their dead times,
 //! and smoothed by local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing
 //! scatterplots, Journal of the American Statistical Association 74, 1979). The fitted response is smoothed at the same instants with the
-//! same weights, so that the smoothing distorts both equally. Both smoothed curves cross the visible share of the movement. The time
-//! between the two crossings is used if it is significant given the noise.
+//! same weights, so that the smoothing distorts both equally. Each of the two smoothed curves crosses the share of the movement from
+//! which motion is visible. The time between the two crossings is added to the latency if it is significant given the noise.
 
 use super::fit::Fitted;
 use super::model::{Lag, Readings, response};
@@ -14,16 +14,16 @@ use super::model::{Lag, Readings, response};
 const WIDTHS: (f64, f64) = (1.0, 16.0);
 /// Ratio of each tried half-width to the previous one.
 const WIDER: f64 = 1.4;
-/// Minimum number of readings within the width of the weights.
+/// Minimum number of readings that the smoothing weights have to cover at each instant.
 const READINGS_LEAST: usize = 5;
-/// Maximum standard error of the time of a usable crossing, in milliseconds.
+/// Maximum standard error of the time of a crossing, in milliseconds. A less precise crossing is not used.
 const PRECISE: f64 = 1.0;
-/// Maximum standard error of the regression, as a fraction of the visible share. With more noise, the curve may cross the visible share
-/// more than once.
+/// Maximum standard error of the smoothed readings, as a fraction of the share of the movement from which motion is visible. With more
+/// noise, the curve may cross this share more than once.
 const QUIET: f64 = 0.125;
-/// A difference is significant from this number of standard errors, if it is also above [`MATTERS`].
+/// The time between the crossings of the two curves is significant if it exceeds this number of standard errors and also [`MATTERS`].
 const SIGNIFICANT: f64 = 4.0;
-/// Differences below this, in milliseconds, do not justify an exception from the fit.
+/// Minimum time between the crossings of the two curves, in milliseconds. A shorter time does not justify an exception from the fit.
 const MATTERS: f64 = 0.5;
 /// Interval between the instants at which the regression is computed, in milliseconds.
 const STEP: f64 = 0.5;
@@ -37,7 +37,7 @@ struct Point {
     after: f64,
     /// The share of the movement that the reading shows.
     seen: f64,
-    /// The share of the movement that the fitted response has made at this time.
+    /// The share of the movement that the fitted response has made at the time of the reading.
     fitted: f64,
 }
 
@@ -58,8 +58,8 @@ struct Smoothed {
     standard_error: f64,
 }
 
-/// Returns how much later than the fitted response the motion visibly starts, in milliseconds. Both times are measured where the motion
-/// has made this share of the movement. Negative if devices start earlier; zero if the readings do not contradict the fit or are
+/// Returns how much later than the fitted response the motion visibly starts, in milliseconds. Motion is visible once it has made `share`
+/// of the movement. The result is negative if devices start earlier. It is zero if the readings do not contradict the fit or are
 /// inconclusive.
 pub(super) fn later(trials: &[(&Readings, Fitted)], lag: Lag, share: f64) -> f64 {
     let Some(commanded) = trials.first().map(|(readings, _)| &readings.commanded) else { return 0.0 };
@@ -106,8 +106,8 @@ impl Pooled {
         Self { points, at_rest: (squares / free.max(1.0)).sqrt() }
     }
 
-    /// Returns how much later the smoothed readings reach this share of the movement than the smoothed response, and the standard error
-    /// of this difference, both in milliseconds.
+    /// Returns how much later the smoothed readings reach `share` of the movement than the smoothed response does, and the standard error
+    /// of this difference. Both are in milliseconds. Returns `None` if the readings are too few or show no clear crossing.
     fn difference(&self, width: f64, begun: f64, share: f64) -> Option<(f64, f64)> {
         let first = self.points.first()?.after.max(-begun);
         let smoothed: Option<Vec<Smoothed>> =
@@ -154,7 +154,8 @@ impl Pooled {
     }
 }
 
-/// Returns the time at which the values rise above this share for the last time.
+/// Returns the time, in milliseconds, at which the smoothed values rise above `share` for the last time. Returns `None` if they never
+/// cross it.
 fn crossing(smoothed: &[Smoothed], share: f64, of: impl Fn(&Smoothed) -> f64) -> Option<f64> {
     let below = smoothed.iter().rposition(|smoothed| of(smoothed) < share)?;
     let (before, after) = (smoothed.get(below)?, smoothed.get(below + 1)?);

@@ -1,4 +1,4 @@
-//! The commanded movement of a device: from one value to another, in parts.
+//! The commanded movement of a device from one value to another, as consecutive parts.
 
 use urrcp::Span;
 
@@ -6,7 +6,7 @@ use urrcp::Span;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Commanded {
     pub(super) parts: Vec<Part>,
-    /// Whether the readings cover only the start of the movement.
+    /// Whether the readings have to cover only the start of the movement.
     begins: bool,
 }
 
@@ -19,7 +19,7 @@ pub(super) struct Part {
 }
 
 impl Commanded {
-    /// Creates a movement at constant speed that takes the time `lasts`. Zero creates a step.
+    /// Creates a movement at constant speed with the duration `lasts`. A duration of zero creates a step.
     #[must_use]
     pub fn ramp(lasts: Span) -> Self {
         let parts = vec![Part { begins: 0.0, lasts: lasts.as_millis_f64().max(0.0), share: 1.0 }];
@@ -32,8 +32,8 @@ impl Commanded {
         Self { begins: true, ..self }
     }
 
-    /// Creates a staircase of values that are set and held. Each step consists of its time since the start of the movement and its share
-    /// of the whole movement.
+    /// Creates a staircase: the device jumps to each value and holds it until the next step. Each step is given as its time since the
+    /// start of the movement and its share of the whole movement.
     #[must_use]
     pub fn stairs(steps: impl IntoIterator<Item = (Span, f64)>) -> Self {
         let part = |(at, share): (Span, f64)| Part { begins: at.as_millis_f64(), lasts: 0.0, share };
@@ -46,7 +46,7 @@ impl Commanded {
         Span::from_millis_f64(self.lasts_ms())
     }
 
-    /// Returns the minimum time, in milliseconds, that the readings have to cover.
+    /// Returns the time, in milliseconds from the start of the movement, up to which readings are required.
     pub(super) fn shown_ms(&self) -> f64 {
         if self.begins { 0.0 } else { self.lasts_ms() }
     }

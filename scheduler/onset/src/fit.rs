@@ -9,15 +9,15 @@ const TIME_CONSTANTS: [f64; 11] =
     [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, TIME_CONSTANT_MAX];
 /// The largest time constant of the search, in milliseconds.
 pub(super) const TIME_CONSTANT_MAX: f64 = 512.0;
-/// Number of steps of a golden-section search. Together, they narrow the interval by a factor of more than 10 000.
+/// Number of steps of a golden-section search. All steps together narrow the interval by a factor of more than 10 000.
 const GOLDEN_STEPS: u32 = 20;
 /// Rounding error of the sum of squared deviations from the fit, as a share of the readings' squared deviations from their mean.
 const ROUNDING: f64 = 1e-12;
-/// The smaller part of an interval that is divided by the golden section.
+/// The smaller part of an interval that is divided by the golden section, as a share of the interval.
 const GOLDEN: f64 = 0.381_966_011_250_105;
 /// The 99 % quantile of chi squared with one degree of freedom: a larger likelihood ratio is significant.
 const SIGNIFICANT: f64 = 6.63;
-/// Maximum number of latencies in the coarse search.
+/// Maximum number of latencies that the coarse search tries.
 const GRID_MAX: f64 = 48.0;
 
 /// The result of fitting one trial.
@@ -66,9 +66,9 @@ fn time_constant(trials: &[&Readings], cost: impl Fn(f64) -> f64) -> (f64, f64) 
     (constant, error_of_constant(trials, constant, cost))
 }
 
-/// Returns the standard error of the time constant from the curvature of the cost. It is the distance at which the cost has risen by the
-/// variance of a reading (profile likelihood; Venzon, Moolgavkar: A method for computing profile-likelihood-based confidence intervals,
-/// Applied Statistics 37(1), 1988).
+/// Returns the standard error of the time constant from the curvature of the cost. The error is the change of the time constant at which
+/// the cost rises by the variance of a reading (profile likelihood; Venzon, Moolgavkar: A method for computing profile-likelihood-based
+/// confidence intervals, Applied Statistics 37(1), 1988).
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
@@ -98,8 +98,8 @@ pub(super) fn latency(trial: &Readings, lag: Lag) -> f64 {
     middle_of_flat(found, trial.interval(), cost)
 }
 
-/// Returns the middle of the range in which the cost is as low as at `found`. A step between two readings fits equally well anywhere
-/// between them, and the middle minimizes the largest possible error.
+/// Returns the middle of the range around the latency `found` in which the cost is equally low. If the movement is a step between two
+/// readings, all latencies in this range fit equally well. The middle minimizes the largest possible error.
 fn middle_of_flat(found: f64, interval: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let least = cost(found);
     let is_flat = |at: f64| cost(at) <= least * (1.0 + 1e-9) + f64::MIN_POSITIVE;

@@ -12,8 +12,8 @@
 //!
 //! The latency is the time in which this response moves by the visible amount, minus the time for this motion without dead time and lag.
 //! A plain threshold on the readings would be inaccurate, because it has to be well above the noise. The fit uses every reading instead.
-//! If the pooled readings show with significance that the device starts at another time than the response, that time is used
-//! (`begin.rs`). `rest` and `gain` enter linearly and are computed directly for each pair of the other two parameters (variable
+//! If the readings of all trials together show significantly that the device starts at a different time than the response, that time is
+//! used (`begin.rs`). `rest` and `gain` enter linearly and are computed directly for each pair of the other two parameters (variable
 //! projection: Golub, Pereyra: The differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate, SIAM
 //! Journal on Numerical Analysis 10(2), 1973). The lag is a property of the device, so all trials share it; each trial has its own dead
 //! time.
@@ -94,9 +94,9 @@ pub enum Unclear {
     /// Too many readings are at one end of the sensor's range.
     #[error("the sensor is at the end of its range: {share:.0} % of its readings are {limit}")]
     Saturated {
-        /// Share of the readings at this end of the range, in per cent.
+        /// Percentage of the readings that are at one end of the sensor's range.
         share: f64,
-        /// The end of the range, in the sensor's unit.
+        /// The end of the sensor's range that the readings have reached: its lowest or highest value, in the sensor's unit.
         limit: f64,
     },
     /// The device moved before the command.
@@ -107,7 +107,7 @@ pub enum Unclear {
         /// Time from the observed motion to the command.
         early: Span,
     },
-    /// The motion seems to start before the command because a reading took too long.
+    /// The motion seems to start before the command, because a reading took so long that its time is uncertain.
     #[error(
         "a reading took so long that its time, and thus the start of the motion, is known only to +-{uncertainty}"
     )]
@@ -137,13 +137,13 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Returns when the value was taken and the uncertainty of that instant. `link` is a round trip without the sensor, such as the round
-    /// trip of an availability request. Each direction is assumed to take half of it. The rest of the reading's round trip is the
-    /// sensor's own delay.
+    /// Returns when the value was taken, and the uncertainty of that instant. `link` is the duration of a round trip that does not
+    /// involve the sensor, such as that of an availability request. Each direction is assumed to take half of it. The rest of the
+    /// reading's round trip is the sensor's own delay.
     ///
-    /// The value was taken between the arrival of the request and the departure of the response. If the exact point is unknown, the
-    /// middle is assumed and half of the sensor's delay is the uncertainty. This error is systematic: it does not average out over
-    /// trials.
+    /// The value was taken between the arrival of the request and the departure of the response. If `taken` does not state the exact
+    /// instant, the middle is assumed. This adds half of the sensor's delay to the uncertainty. The resulting error is systematic: it
+    /// does not average out over trials.
     #[must_use]
     pub fn instant(&self, link: Span, taken: Taken) -> (Span, Span) {
         let way = link / 2;

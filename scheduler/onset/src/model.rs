@@ -7,12 +7,12 @@ use super::commanded::{Commanded, Part};
 /// Time constants below this, in milliseconds, are treated as zero.
 const NO_LAG: f64 = 1e-3;
 
-/// Returns how far a device has moved `after` milliseconds from the start of its motion, as a share of the movement.
+/// Returns how far a device has moved, as a share of the movement, `after` milliseconds after the start of its motion.
 pub(super) fn response(commanded: &Commanded, lag: Lag, after: f64) -> f64 {
     commanded.parts.iter().map(|part| part.share * part.response(lag, after - part.begins)).sum()
 }
 
-/// Returns the delay, in milliseconds, that the lag causes until a device has moved by this share of the movement.
+/// Returns how much later, in milliseconds, a device with this lag has moved by `share` of the movement than a device without lag.
 pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 {
     let crossed = |lag: Lag| {
         let (mut before, mut after) = (0.0, commanded.lasts_ms() + 20.0 * lag.constant + 1.0);
@@ -32,14 +32,14 @@ pub(super) struct Lag {
     pub(super) constant: f64,
     /// Number of lags: one or two.
     pub(super) lags: u8,
-    /// Delay from the start that this response predicts to the visible start of the device, in milliseconds.
+    /// How much later the device visibly starts than this response predicts, in milliseconds. Negative if it starts earlier.
     pub(super) later: f64,
 }
 
 impl Lag {
     pub(super) const NONE: Self = Self { constant: 0.0, lags: 1, later: 0.0 };
 
-    /// Returns the response to a step of size one, `after` milliseconds later.
+    /// Returns the response to a step of size one, `after` milliseconds after the step.
     fn step(self, after: f64) -> f64 {
         match self.lags {
             1 => -(-after / self.constant).exp_m1(),
@@ -97,17 +97,17 @@ pub(super) struct Readings {
     pub(super) values: Vec<f64>,
 }
 
-/// Comparison of the readings with the response for one latency and lag.
+/// The agreement of the readings with the response for one latency and lag.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Agreement {
     /// Sum of the squared deviations of the readings from the response.
     pub(super) squares: f64,
-    /// Gain: change of the readings by the whole movement, in the sensor's unit.
+    /// The gain of the fit: by how much the whole movement changes the readings, in the sensor's unit.
     pub(super) gain: f64,
 }
 
 impl Readings {
-    /// Returns the best fit of rest and gain for this latency and lag.
+    /// Returns the agreement for the rest value and the gain that fit best with this latency and lag.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
     pub(super) fn agreement(&self, latency: f64, lag: Lag) -> Agreement {
         let n = self.at.len() as f64;
@@ -126,7 +126,7 @@ impl Readings {
         Agreement { squares, gain }
     }
 
-    /// Returns the sum of the squared deviations from the mean of all readings.
+    /// Returns the sum of the squared deviations of the readings from their mean.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
     pub(super) fn squares(&self) -> f64 {
         let mean = self.values.iter().sum::<f64>() / self.values.len().max(1) as f64;

@@ -16,15 +16,15 @@ pub struct Latencies {
     pub spread: Span,
     /// With 97.5 % confidence, 95 % of all movements have at most this latency: see [`quantile_bound`].
     pub p95: Span,
-    /// With 95 % confidence, the true median differs from `median` by at most this. Excludes systematic errors: the point within the
-    /// sensor's round trip at which the value was taken, and delays that no round trip shows.
+    /// With 95 % confidence, the true median differs from `median` by at most this. Excludes systematic errors: the unknown point within
+    /// the sensor's round trip at which the value was taken, and delays that no round trip shows.
     pub median_error: Span,
     /// Number of trials.
     pub trials: usize,
 }
 
 impl Latencies {
-    /// Summarizes latencies, given in milliseconds. Returns `None` for fewer than three.
+    /// Summarizes latencies, given in milliseconds. Returns `None` for fewer than three latencies.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "trials are few")]
     pub fn of(latencies: &[f64]) -> Option<Self> {

@@ -11,7 +11,7 @@ struct Device {
     /// Standard deviation of the latency from trial to trial.
     deviation: f64,
     time_constant: f64,
-    /// Number of lags that share the time constant.
+    /// Number of equal lags in series: one or two. The time constant is their total.
     lags: u8,
     noise: f64,
     /// Delay of the sensor between request and response. The sensor takes the value at the request.
@@ -78,7 +78,8 @@ fn normal(rng: &mut fastrand::Rng) -> f64 {
 
 const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), visible: VISIBLE };
 
-/// Returns the duration of a movement that `downbeat calibrate` chooses for this interval between readings.
+/// Returns the duration that `downbeat calibrate` chooses for a movement. The duration and the interval between readings are in
+/// milliseconds.
 fn lasts(interval: f64) -> f64 {
     (1.5 * interval).max(40.0)
 }
@@ -262,7 +263,8 @@ fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64
     Trial { commanded, movement: MOVEMENT, samples }
 }
 
-/// Returns the time that the device with friction needs to move by the visible amount, minus the time without latency and lag.
+/// Returns the time that the device with friction needs to move by the visible amount, minus the time that a device without latency and
+/// lag needs.
 fn true_begin(friction: f64) -> f64 {
     let trial = with_friction(&mut fastrand::Rng::with_seed(1), friction, 0.0, 0.05);
     let moved = |sample: &&Sample| sample.value >= REST + VISIBLE;

@@ -12,7 +12,8 @@ use super::{Latencies, Unclear};
 const READINGS_LEAST: usize = 4;
 /// Minimum ratio of the movement's size to the noise of the readings.
 const NOISE_RATIO: f64 = 5.0;
-/// Minimum share of the commanded movement. A device that moves less does not follow the command.
+/// Minimum motion that the readings have to show, as a share of the commanded movement. A device that moves less does not follow the
+/// command.
 const MOVED_LEAST: f64 = 0.2;
 /// The sensor counts as saturated if at least this share of its readings is at one end of its range.
 const SATURATED_SHARE: f64 = 0.2;
@@ -20,7 +21,7 @@ const SATURATED_SHARE: f64 = 0.2;
 const SETTLED: f64 = 4.0;
 /// Number of time constants that a ramp has to last, so that the device's lag behind the ramp becomes steady.
 const RAMP_STEADY: f64 = 3.0;
-/// Maximum share of a movement that may be used as its visible start.
+/// Upper limit for the share of a movement from which motion counts as visible.
 const VISIBLE_MAX: f64 = 0.5;
 /// Maximum time, in milliseconds, by which clock errors may make a motion appear earlier than its command.
 const EARLY_MAX: f64 = 5.0;
@@ -59,8 +60,8 @@ pub struct Readable {
 /// The result of one trial: when the motion starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Onset {
-    /// Time from the due time of the first step to the first visible motion. The time that a device without latency and lag needs to move
-    /// this far is subtracted.
+    /// Time from when the first step is due to the first visible motion, minus the time that a device without latency and lag needs to
+    /// move this far.
     pub latency: Span,
     /// Time from the due time of the first step until the device starts to follow.
     pub dead_time: Span,
@@ -79,7 +80,7 @@ pub struct Onset {
 pub struct Estimate {
     /// The result of each trial, in the order of the trials.
     pub onsets: Vec<Result<Onset, Unclear>>,
-    /// Summary of the trials with a result; `None` for fewer than three.
+    /// Summary of the trials with a result. `None` if there are fewer than three of them.
     pub latencies: Option<Latencies>,
     /// The lag with which the device follows. `None` if the readings do not distinguish the device from one that follows at once.
     pub lag: Option<downbeat_fleet::fleet::Lag>,
@@ -88,7 +89,7 @@ pub struct Estimate {
     pub tracking_lag: Option<Span>,
 }
 
-/// Determines the start of a single motion. Uses the lag if it is given, else a lag fitted to this motion alone.
+/// Determines the start of a single motion. Uses the given lag, or else fits a lag to this motion alone.
 ///
 /// # Errors
 /// Returns the reason, [`Unclear`], if the start cannot be determined.
@@ -171,7 +172,8 @@ impl Readable {
         at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
     }
 
-    /// Returns the result of [`begin::later`] for the pooled readings of these trials.
+    /// Returns how much later than the fitted response the motion visibly starts, in milliseconds. The readings of all these trials are
+    /// evaluated together: see [`begin::later`].
     fn later(&self, trials: &[(&Trial, &Readings, Fitted)], lag: Lag) -> f64 {
         let Some((trial, ..)) = trials.first() else { return 0.0 };
         let pooled: Vec<_> = trials.iter().map(|(_, readings, fitted)| (*readings, *fitted)).collect();

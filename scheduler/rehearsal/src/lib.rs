@@ -1,4 +1,4 @@
-//! Missions in virtual time, with the same mission machine and main loop as a real show.
+//! Missions in virtual time, with the same state machine and main loop as a real show.
 //!
 //! | module | |
 //! |---|---|

@@ -39,13 +39,13 @@ pub enum EndpointError {
         /// Why the driver cannot be used.
         error: DriverError,
     },
-    /// The operator's identity cannot be used.
+    /// The operator's identity (certificate and key) cannot be used.
     #[error("{0}")]
     Identity(String),
     /// The Zenoh network cannot be joined.
     #[error("{0}")]
     Network(String),
-    /// The host of the robots cannot start.
+    /// The host, which runs the robots of this process, cannot start.
     #[error(transparent)]
     Host(#[from] HostError),
 }
@@ -125,7 +125,8 @@ fn settings_of(robot: &FleetRobot) -> MissionSettings {
     MissionSettings { encoding, ..robot.mission.clone() }
 }
 
-/// Returns whether the mission performs handshake steps 1 to 4 with its robots, as the fleet file's `handshake:` states.
+/// Returns whether the mission performs handshake steps 1 to 4 (availability and description) with its robots, as the fleet file's
+/// `handshake:` states.
 #[must_use]
 pub fn greeting(fleet: &Fleet) -> Greeting {
     match fleet.handshake {
@@ -198,7 +199,7 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
     }
 }
 
-/// Returns the limits from the fleet file at which the robot's devices move to rest or home.
+/// Returns the limits of speed and acceleration, from the fleet file, for motions of the robot's devices to rest or home.
 fn limits(robot: &FleetRobot) -> BTreeMap<DeviceId, MotionLimits> {
     let limit = |(device, limits): (&String, &RateLimits)| {
         let RateLimits { speed, acceleration } = *limits;
@@ -212,7 +213,7 @@ fn moves(of: &SimulatedMoves) -> Moves {
     Moves { device, latency, spread, time_constant, sensor, noise, delay }
 }
 
-/// Minimum time to wait for the hardware of all robots in this process before the mission begins without it.
+/// Minimum time for which the mission waits for the hardware of robots in this process. The mission then begins without missing hardware.
 const HARDWARE_WAIT: Duration = Duration::from_secs(10);
 /// Interval between checks of the hardware in [`await_hardware`].
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -242,14 +243,14 @@ impl From<StartPrograms> for Drivers {
 }
 
 impl Drivers {
-    /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One additional second allows the
-    /// driver to report the reason if the program misses the timeout.
+    /// Returns how long to wait for the hardware. A driver program has the start timeout for each of its first two lines. One additional
+    /// second allows the driver to report why the program missed the timeout.
     fn wait(self) -> Duration {
         (self.timeouts.start * 2 + Duration::from_secs(1)).max(HARDWARE_WAIT)
     }
 }
 
-/// Driver that stands in for a program that is not started; it refuses every call.
+/// The driver that replaces a program that is not started. It refuses every call.
 struct NotStarted;
 
 impl NotStarted {
@@ -277,8 +278,8 @@ impl Driver for NotStarted {
     }
 }
 
-/// Creates the robot that runs in this process: a simulated one, or an edge with a driver. Returns `None` if the robot has a network
-/// address and listens there itself.
+/// Creates the robot if it runs in this process: a simulated one, or one with a driver for its hardware. Returns `None` if the robot
+/// listens at a network address itself.
 fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
@@ -361,7 +362,8 @@ pub fn endpoints_at_once(
     Ok((host, endpoints))
 }
 
-/// Returns the encoding for messages to a robot. Without a handshake, the robot's init file decides whether it is used at once.
+/// Returns the encoding for messages to a robot. Without a handshake, the robot's init file determines whether that encoding is used at
+/// once.
 fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
     let encoding = robot.mission.encoding;
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));

@@ -1,4 +1,4 @@
-//! Missions on real robots: the links, files, threads and clocks around the machine of `downbeat-mission`.
+//! Missions on real robots: the links, files, threads and clocks around the state machine of `downbeat-mission`.
 //!
 //! | module | |
 //! |---|---|

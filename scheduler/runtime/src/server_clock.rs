@@ -1,5 +1,5 @@
 //! The server's clock. It starts from the system clock, corrected by NTP, and then follows the monotonic clock. A step of the system
-//! clock therefore does not shift the schedule. [`NtpWatch`] reports how far it has drifted from NTP since.
+//! clock therefore does not shift the schedule. [`NtpWatch`] reports how far this clock has drifted from NTP.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use downbeat_mission::clock::{ClockEstimate, ClockSample, NtpState};
 
-/// Number of NTP exchanges in one measurement. The measurement combines the bounds of all exchanges.
+/// Number of NTP exchanges in one measurement. Each exchange bounds the offset, and the measurement combines these bounds.
 const NTP_SAMPLES: usize = 5;
 /// Pause between two NTP exchanges.
 const NTP_INTERVAL: Duration = Duration::from_millis(50);
@@ -23,8 +23,8 @@ const NTP_TIMEOUT: Duration = Duration::from_secs(2);
 /// Allowance for rounding in one exchange: rsntp computes in floating point, and the system clock and the monotonic clock are not read at
 /// the same instant.
 const NTP_ROUNDING: Span = Span::from_micros(1);
-/// Number of consecutive unanswered requests after which the NTP server is considered lost. More than one, because a single datagram may
-/// get lost.
+/// Number of consecutive unanswered requests after which the NTP server is considered lost. It is more than 1, because a single datagram
+/// may get lost.
 const NTP_LOST_AFTER: u32 = 3;
 /// Interval between two requests of an [`NtpWatch`]: the shortest steady polling interval in RFC 5905 (MINPOLL, 2^4 s).
 pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
@@ -99,8 +99,8 @@ pub struct NtpError {
     pub reason: String,
 }
 
-/// Measures the offset of the system clock with a few requests to an NTP server (`host` or `host:port`). The offset satisfies the bounds
-/// of all exchanges.
+/// Measures the offset of the system clock with a few requests to an NTP server (`host` or `host:port`). Each exchange bounds the offset,
+/// and the result is within all these bounds.
 ///
 /// # Errors
 /// Returns [`NtpError`] if no exchange succeeded.
@@ -205,7 +205,7 @@ impl NtpWatch {
         *self.states.borrow()
     }
 
-    /// Waits until the next request has been answered or has failed, and returns the state after it.
+    /// Waits until the next request has been answered or has failed, and returns the new state.
     pub async fn next(&mut self) -> NtpState {
         if self.states.changed().await.is_err() {
             // The task lives as long as this value.

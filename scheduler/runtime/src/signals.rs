@@ -56,7 +56,7 @@ fn take(number: i32) {
     }
 }
 
-/// The function that restores state, for example of the terminal, before the process dies.
+/// The function that restores state, for example the settings of the terminal, before the process dies.
 static BEFORE_DEATH: OnceLock<fn()> = OnceLock::new();
 /// Maximum time to wait for the function in [`BEFORE_DEATH`].
 const RESTORED_WITHIN: Duration = Duration::from_millis(500);
@@ -165,8 +165,8 @@ fn home_number() -> i32 {
     uapi::c::SIGRTMIN() + 1
 }
 
-/// Sends a scheduler the signal to stop its robots. A suspended scheduler stops them once it continues. Returns the signal's name if it
-/// could be sent.
+/// Sends a scheduler the signal to stop its robots. A suspended scheduler stops them once it continues. Returns the signal's name; `None`
+/// if the signal could not be sent.
 pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
     let (name, sent) = match rest {
         Rest::InPlace => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),

@@ -85,7 +85,7 @@ fn confirmed_stops(report: &Report) -> Option<String> {
     (!all.is_empty()).then(|| all.join(", "))
 }
 
-/// Maximum number of robots whose ids one warning contains.
+/// Maximum number of robot ids in one warning.
 const NAMED_MAX: usize = 3;
 
 /// Returns the warnings of a preflight. Each warning is listed once, with the robots that it concerns.

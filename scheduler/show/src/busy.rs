@@ -7,7 +7,8 @@ use urrcp::{ControlType, DeviceId, Interpolation, RobotId, Step};
 #[derive(Debug)]
 pub(super) struct Busy<'a> {
     pub(super) robot: &'a RobotId,
-    /// Start and end of each motion in milliseconds from the act's start. The motions are in any order. A jump ends when it starts.
+    /// Start and end of each motion in milliseconds from the act's start. The motions are in any order. The start and the end of a jump
+    /// are equal.
     pub(super) moves: Vec<(f64, f64)>,
 }
 
@@ -48,7 +49,8 @@ fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolati
     first.into_iter().chain(between).collect()
 }
 
-/// Whether the device keeps moving after this step if no other step follows: if the step sets a speed or acceleration other than zero.
+/// Whether the device keeps moving after this step even if no step follows, because the step sets a speed or acceleration other than
+/// zero.
 fn keeps_moving(step: &Step) -> bool {
     let is_rate = matches!(step.setpoint.control_type, ControlType::Speed | ControlType::Acceleration);
     is_rate && step.setpoint.values().any(|value| value != 0.0)

@@ -48,7 +48,8 @@ impl Cell {
         }
     }
 
-    /// Returns the colour of the cell. It is removed if the output is not a terminal; the characters are distinguishable without it.
+    /// Returns the colour of the cell. Colours are removed if the output is not a terminal. The characters are distinguishable without
+    /// them.
     fn style(self) -> Style {
         match self {
             Self::Empty | Self::Mark => Style::new(),
@@ -152,7 +153,7 @@ impl Chart {
         format!("{name}{}", " ".repeat(self.names.saturating_sub(name.width())))
     }
 
-    /// Returns the lines below a ruler. The ruler is repeated at regular intervals so that it stays in view.
+    /// Returns the lines with a ruler above them. The ruler is repeated at regular intervals so that it stays in view.
     fn section(&self, title: &str, lines: &[String]) -> String {
         let ruler = self.ruler(title);
         lines.chunks(LINES_A_RULER).map(|lines| format!("{ruler}{}", lines.concat())).collect()

@@ -19,21 +19,22 @@ use super::ruler::{Tick, length, ticks};
 use downbeat_mission::report::ActReport;
 use downbeat_rehearsal::dry_run::Played;
 
-/// Space to the left and right of the time axis, in pixels, for names and ranges of values.
+/// Space next to the time axis, in pixels: for names on its left, and for ranges of values on its right.
 const LEFT: f64 = 170.0;
 const RIGHT: f64 = 120.0;
-/// Pixels per second of the act. The total width may require fewer or more.
+/// Pixels per second of the act, unless the time axis would then be narrower than [`WIDTH_MIN`] or wider than [`WIDTH_MAX`].
 const SECOND: f64 = 6.0;
 const WIDTH_MIN: f64 = 760.0;
 const WIDTH_MAX: f64 = 3_600.0;
 /// Minimum distance between two ticks in pixels.
 const TICK: f64 = 64.0;
 
-/// Distances in pixels: from the top edge to the legend, from the top edge to the lines of the upper ruler, and below these lines.
+/// Distances in pixels: from the top edge to the legend, from the top edge to the vertical lines at the ticks, and from the end of these
+/// lines to the bottom edge.
 const LEGEND: f64 = 62.0;
 const TOP: f64 = 92.0;
 const BOTTOM: f64 = 40.0;
-/// Distance above and below the cues in pixels.
+/// Space above and below the cues in pixels.
 const GAP: f64 = 8.0;
 
 /// Maximum width of a name in columns.
@@ -43,7 +44,7 @@ const NAME_MAX: usize = 60;
 struct Frame {
     /// Duration of the act in milliseconds.
     total: f64,
-    /// Width of the act in pixels.
+    /// Width of the time axis in pixels, from the act's start to its end.
     width: f64,
     ticks: Vec<Tick>,
 }
@@ -56,17 +57,17 @@ impl Frame {
         Self { total, width, ticks: ticks(total, (width / TICK) as usize) }
     }
 
-    /// Returns the distance of an instant from the act's start in pixels.
+    /// Returns the distance in pixels from the act's start to an instant, which is given in milliseconds.
     fn offset(&self, millis: f64) -> f64 {
         self.width * millis / self.total
     }
 
-    /// Returns the distance of an instant from the left edge of the picture in pixels.
+    /// Returns the distance in pixels from the left edge of the picture to an instant, which is given in milliseconds.
     fn x(&self, millis: f64) -> f64 {
         LEFT + self.offset(millis)
     }
 
-    /// Returns the right limit for names of cues, in pixels from the left edge.
+    /// Returns the position at which the names of cues must end, in pixels from the left edge.
     fn right(&self) -> f64 {
         self.full_width() - 6.0
     }
@@ -97,7 +98,7 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     svg
 }
 
-/// Returns the kinds of drawing that occur in the picture of an act.
+/// Returns the kinds of drawing, such as cues and planned values, that the picture of an act contains.
 fn kinds(act: &Act, lanes: &Lanes<'_>) -> Vec<Kind> {
     let occurs = [
         (Kind::Cue, act.cues.iter().any(|cue| !cue.critical)),

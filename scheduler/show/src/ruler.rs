@@ -81,7 +81,8 @@ fn label(millis: f64, total: f64, every: f64) -> String {
     if hours > 0.0 { format!("{hours}:{minutes:02}:{seconds}") } else { format!("{minutes}:{seconds}") }
 }
 
-/// Removes floating-point errors from the time of a tick in milliseconds, which is a multiple of a tenth of a millisecond.
+/// Removes floating-point errors from the time of a tick, given in milliseconds or seconds. The time is a multiple of a tenth of a
+/// millisecond, so four decimal places are enough.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

@@ -20,11 +20,11 @@ use downbeat_mission::{
 /// Style of failures. It is removed if the output is not a terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
-/// The stop result that is printed for a robot that another session drives meanwhile.
+/// Text for a robot that was not stopped, because another mission drives it and it holds no commands of this mission.
 pub const TAKEN_OVER: &str =
     "not stopped: another mission already drives it, and it holds no commands of this mission";
 
-/// Maximum number of devices whose ids one line contains.
+/// Maximum number of device ids in one line.
 const DEVICES_NAMED_MAX: usize = 6;
 
 /// How much of a report to print.
@@ -163,7 +163,7 @@ pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     ))
 }
 
-/// Returns the total duration of the acts on the main line of the course.
+/// Returns the total duration of the acts on the main line, which begins with the first act and follows the key `next` of each act.
 #[must_use]
 pub fn main_duration(choreography: &Choreography) -> Span {
     let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].duration());
@@ -320,8 +320,8 @@ pub fn ending_text(report: &Report, columns: usize) -> String {
     text
 }
 
-/// Returns a sentence about a transfer after a stop, with the facts that the list of acts does not contain. Returns `None` if there are
-/// none.
+/// Returns a sentence about a transfer, an act that moves devices to given positions after a stop. The sentence contains only facts that
+/// the list of acts does not contain. Returns `None` if there are none.
 fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) -> Option<String> {
     match transfer {
         TransferReport::Planned { without, .. } if without.is_empty() => None,
@@ -483,14 +483,16 @@ fn steps(robot: &RobotReport) -> String {
     format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)
 }
 
-/// Returns a mark for the robot's number of starts if the number relies on a claim that cannot be true.
+/// Returns the word that is appended to the robot's number of starts if the number relies on a claim that cannot be true. Otherwise
+/// returns an empty text.
 fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
     let doubted =
         |failure: &Failure| failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. });
     if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
-/// The report mentions the drift of last steps only if their spread exceeds the spread of the starts by more than this.
+/// The report mentions that the last steps of scripts drift apart only if their spread exceeds the spread of the starts by more than
+/// this.
 const NOTABLE_DRIFT: Span = Span::from_millis(1);
 
 fn full_sentences(report: &Report) -> Vec<String> {

@@ -1,4 +1,4 @@
-//! Conditions that acts wait for.
+//! Describes the conditions that acts wait for before they start.
 
 use downbeat_scripts::{SensorRange, Wait};
 

@@ -25,8 +25,9 @@ const EACH: Span = Span::from_micros(50);
 const ANSWER: Span = Span::from_millis(500);
 
 /// Determines whether all, none or some of the robots of `act`, which Downbeat sent, would start with a "go". The "go" is sent at the
-/// planned start of the act, and every script has arrived before the mission began. Robots that Downbeat had left out before that are
-/// also left out here. Robots that lie are excluded from both.
+/// planned start of the act, and every script has arrived before the mission began.
+///
+/// `act.robots` excludes robots that lie and robots that Downbeat had left out before the start, so they are excluded here as well.
 #[must_use]
 pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number));
@@ -57,7 +58,7 @@ pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     }
 }
 
-/// Whether the scheduler's process has ended and no other process has resumed the mission by `now`.
+/// Whether the scheduler's process has ended by `now` and no other process has resumed the mission.
 fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     drawn.faults.iter().any(|(at, fault)| match fault {
         Fault::SchedulerCrash { resumed_after } | Fault::SchedulerCrashAmid { resumed_after, .. } => {
@@ -67,7 +68,7 @@ fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     })
 }
 
-/// When a message that is sent to a robot at `now` arrives; `None` if it is lost or no process listens.
+/// Returns when a message that is sent to a robot at `now` arrives; `None` if it is lost or no process listens.
 fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
     let (least, largest) = drawn.delay;
     let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
@@ -99,13 +100,13 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 
 /// The effect of a fault on a message to a robot.
 enum Meets {
-    /// The message waits for the given time.
+    /// The message waits until the fault, which has this duration, is over.
     Wait(Span),
-    /// Each message takes longer by the first time; this lasts for the second time.
+    /// Each message takes longer by the first span. The fault lasts for the second span.
     Longer(Span, Span),
-    /// Messages are lost for the given time; `None`: forever.
+    /// All messages are lost for this duration; forever if `None`.
     Nothing(Option<Span>),
-    /// The robot is gone with its whole state.
+    /// The robot has lost its whole state.
     Gone,
 }
 

@@ -7,23 +7,23 @@ use urrcp::{ControlType, Device, DeviceId, Robot, Span, Timestamp};
 const INTERVALS: usize = 32;
 /// Minimum duration of a braking that is judged. In shorter ones, the rounding of times to nanoseconds matters too much.
 const LASTS_LEAST: Span = Span::from_millis(2);
-/// Maximum duration for which a device slows down, or goes home at its own speed.
+/// Maximum duration for which a device slows down, or returns to its default position at its own speed.
 pub(crate) const LASTS_MAX: Span = Span::from_millis(600_000);
-/// The relative error of an acceleration that is computed from differences.
+/// Maximum relative error of an acceleration, because it is computed from differences of values.
 const ERROR: f64 = 0.02;
 
-/// The movement of a device that comes to rest or goes home, sampled at equal intervals.
+/// The movement of a device that comes to rest or returns to its default position, sampled at equal intervals.
 #[derive(Clone, Debug)]
 pub struct Braking {
     /// The id of the device.
     pub device: DeviceId,
-    /// The control type whose values change.
+    /// The control type (position, speed or acceleration) of the sampled values.
     pub control_type: ControlType,
     /// Start of the braking by the robot's clock.
     pub since: Timestamp<Robot>,
     /// Duration of the braking.
     pub lasts: Span,
-    /// The values at the ends of the equal intervals.
+    /// The sampled values, one at each end of each interval.
     pub values: Vec<f64>,
 }
 
@@ -37,7 +37,7 @@ pub(crate) fn is_of(entry: &LogEntry, control_type: ControlType) -> bool {
 }
 
 impl Braking {
-    /// Samples the movement to rest that starts with the log entry `entry`. `value` returns the value of the device at an instant.
+    /// Samples a movement to rest, which starts with the log entry `entry`. `value` returns the value of the device at an instant.
     pub(crate) fn of(
         entry: &LogEntry,
         value: impl Fn(ControlType, Timestamp<Robot>) -> Option<f64>,
@@ -74,7 +74,7 @@ impl Braking {
         self.lasts.as_millis_f64() / 1_000.0 / (self.values.len() - 1) as f64
     }
 
-    /// The change of the value per second at an instant, and the error of that rate.
+    /// Returns the change of the value per second at an instant, and the error of that rate.
     pub(crate) fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
         let rates = self.rates();
         let index = ((at - self.since).as_millis_f64() / 1_000.0 / self.interval()) as usize;
@@ -86,8 +86,9 @@ impl Braking {
         self.values.windows(2).map(|two| (two[1] - two[0]) / self.interval()).collect()
     }
 
-    /// Describes a violation by the movement to rest, if any. `rate`: the change of a position per second before the braking, and the
-    /// error of that rate. `stays`: whether the device comes to rest at its current position.
+    /// Describes what is wrong with a movement to rest; `None` if it is correct. `rate` contains the change of a position per second
+    /// before the braking, and the error of that rate. `stays` states whether the device comes to rest in place, rather than at its
+    /// default position.
     #[must_use]
     pub fn flaw(&self, device: &Device, rate: Option<(f64, f64)>, stays: bool) -> Option<String> {
         let accelerates = acceleration(device);
@@ -133,7 +134,7 @@ impl Braking {
     }
 }
 
-/// The acceleration with which a device must brake to stay within its position limits.
+/// Returns the minimum acceleration with which a device must brake to stay within its position limits.
 pub(crate) fn harder_at_limit(device: &Device, position: f64, rate: f64) -> f64 {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return 0.0 };
     let room = if rate > 0.0 { limits.max_value - position } else { position - limits.min_value };

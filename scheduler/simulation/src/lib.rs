@@ -37,23 +37,24 @@ pub struct Ran {
     pub report: Option<Report>,
     /// The records in the journal, with their times.
     pub records: Vec<(Timestamp<Server>, Record)>,
-    /// For each robot: the log of the values that it really set.
+    /// For each robot: the log of the values that it really set on its devices.
     pub logs: Vec<Vec<LogEntry>>,
     /// For each robot: how its devices came to rest, if that took time.
     pub brakings: Vec<Vec<Braking>>,
     /// For each robot: the log of other robots that answered at its address.
     pub logs_of_strangers: Vec<Vec<LogEntry>>,
-    /// For each robot: the scripts that it began although its hardware had been dead long enough for the robot to notice.
+    /// For each robot: the scripts that it began, although its hardware had been dead for long enough to notice.
     pub starts_of_dead: Vec<Vec<String>>,
-    /// The clock of the last scheduler process minus the true time. Times in the report are by that clock; all other times are true.
+    /// By how much the clock of the last scheduler process was ahead of the true time. Times in the report are by that clock; all other
+    /// times are true.
     pub server_ahead: Span,
     /// All events, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
-    /// The time until which the robots were observed.
+    /// The instant at which the observation of the robots ended.
     pub watched_until: Timestamp<Server>,
     /// Whether the mission never ended.
     pub hung: bool,
-    /// The message of the assertion that failed during the mission, if any.
+    /// The message of the internal assertion that failed during the mission, if any.
     pub broken: Option<String>,
 }
 
@@ -70,9 +71,9 @@ pub enum Happened {
     Lost(usize),
     /// A message to or from a robot was in transit for the given time.
     Slow(usize, Span),
-    /// A message to or from a robot was queued behind others for the given time, on a link in its usual state.
+    /// A message to or from a robot waited for the given time behind other messages, although no fault slowed the link down.
     Queued(usize, Span),
-    /// A stop was queued behind earlier messages to a robot for the given time, on a link in its usual state.
+    /// A stop waited for the given time behind earlier messages to a robot, although no fault slowed the link down.
     StopQueued(usize, Span),
     /// A fault occurred.
     Fault(Fault),
@@ -82,11 +83,11 @@ pub enum Happened {
     Seized(usize),
     /// A link was established.
     LinkUp(usize),
-    /// A link broke, as the scheduler sees it.
+    /// The scheduler noticed that a link broke.
     LinkDown(usize),
-    /// A process resumed or withdrew the mission by its journal; the text states which.
+    /// Another process took over the mission by its journal. The text is "resumed" or "withdrawn".
     TakenUp(&'static str),
-    /// The given number of bytes of records were on the disk, but the next process did not read them.
+    /// The given number of bytes of records were on the disk, but the next process could not read them.
     Forgotten(usize),
     /// The operator received a message.
     Told(Box<Progress>),
@@ -112,7 +113,8 @@ pub fn play_verbosely(drawn: Drawn) -> Ran {
     world::play(drawn, true)
 }
 
-/// Returns all violations of a mission. If a comparison could find any, also plays the same mission without faults and compares both.
+/// Returns all violations of a mission. If a comparison with the same mission without faults could find violations, also plays that
+/// mission and compares both.
 #[must_use]
 pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();

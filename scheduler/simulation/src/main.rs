@@ -28,13 +28,13 @@ macro_rules! say {
     };
 }
 
-/// Maximum number of traces of violations that are printed by default.
+/// Maximum number of violations whose traces are printed by default.
 const STORIES_MAX: usize = 1;
 
 /// The number of seeds after which each fault must have occurred at each possible stage.
 const SEEDS_FOR_EACH_STAGE: u64 = 20_000;
 
-/// The exit code if no invariant is violated, but a fault has not occurred at a possible stage, or no mission has reached a situation.
+/// The exit code if no invariant is violated, but the missions lack a possible combination of fault and stage, or a situation.
 const NOT_MET: u8 = 3;
 
 /// Plays seeds with faults and checks the invariants against the actual behaviour of the robots.
@@ -217,8 +217,8 @@ impl Found {
         }
     }
 
-    /// Lists the faults that have not occurred at a possible stage, and the situations that no mission reached. Empty unless enough
-    /// missions were played.
+    /// Lists the faults that have not occurred at a possible stage, and the situations that no mission reached. The list is empty if too
+    /// few missions were played.
     fn not_met(&self, seeds: u64) -> Vec<String> {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
@@ -230,7 +230,7 @@ impl Found {
         missing.chain(never.map(|situation| format!("no mission reached: {situation}"))).collect()
     }
 
-    /// Lists the causes that excuse more acts than permitted.
+    /// Lists the causes that excuse violations in more acts than permitted.
     fn beyond_limits(&self) -> Vec<String> {
         let acts = self.counts[0].acts;
         let beyond = |(&(invariant, cause), excused): (&(char, Cause), &Excused)| {
@@ -249,7 +249,7 @@ impl Found {
         self.excuses.iter().filter_map(beyond).collect()
     }
 
-    /// Prints the excused violations of an invariant: one line per cause, and the sum.
+    /// Prints the excused violations of an invariant: one line per cause, and their sum.
     fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
         say!("\n{title:<58} {:>8} {:>11} {:>11} {:>10}", "", "of acts", "at most", "first seed");
         let excused =

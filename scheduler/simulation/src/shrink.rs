@@ -45,7 +45,7 @@ fn shrink(mut drawn: Drawn, shows: impl Fn(&Drawn) -> bool) -> Drawn {
     }
 }
 
-/// All missions that lack one further part, with the largest removed part first.
+/// Returns all missions that lack one more part, starting with the largest parts.
 fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     let mut all = Vec::new();
     let mut with = |change: &dyn Fn(&mut Drawn)| {
@@ -99,7 +99,7 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     all
 }
 
-/// Removes an act. Later acts move up. An act that led to the removed act leads to its successor.
+/// Removes an act, so that later acts have lower indices. Acts that led to the removed act lead to its successor.
 fn without_act(drawn: &mut Drawn, act: usize) {
     if act < drawn.comes_after.len() {
         let _taken_away = drawn.comes_after.remove(act);
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::{Fault, draw};
 
-    /// The mission of the first seed with several acts and several faults, one of them a stop.
+    /// Returns the first drawn mission with several acts and several faults, one of them a stop.
     fn rich() -> Drawn {
         let several = |drawn: &Drawn| drawn.choreography.acts.len() > 2 && drawn.faults.len() > 2;
         let stop = |drawn: &Drawn| drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Stop));

@@ -1,4 +1,4 @@
-//! The stages of a mission, and at which stages faults occurred.
+//! The stages of a mission. Determines at which stages faults occurred.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use downbeat_mission::{Progress, Record};
 /// A stage of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
-    /// No act has been sent yet, and none waits.
+    /// Robots are greeted (connected and described): no act has been sent yet, and none waits.
     Greeting,
     /// An act waits for the operator, a sensor or a time, and no act plays.
     Waits,
@@ -54,8 +54,9 @@ impl Stage {
     ];
 
     /// Whether a fault of kind `kind` can occur at this stage. While no scheduler process runs, none can end, stall or receive the
-    /// operator's commands. A mission that has ended needs neither its disk nor its host's clock, and has no journal through which it
-    /// could be stopped. A mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
+    /// operator's commands. A mission that has ended needs neither its disk nor its machine's clock, and has no journal through which it
+    /// could be stopped. A mission plans no act after a stop if a robot does not state its positions, for example a robot with separate
+    /// hardware.
     #[must_use]
     pub const fn meets(self, kind: FaultKind) -> bool {
         use FaultKind::{
@@ -94,7 +95,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// An act that has been promised and has not ended.
+/// An act that has been promised (recorded before it is sent) and has not ended.
 struct Open {
     number: u32,
     start: Timestamp<Server>,
@@ -109,7 +110,7 @@ struct Mission {
     has_sent: bool,
     waits: bool,
     stops: bool,
-    /// Whether the next promised act was planned after a stop.
+    /// Whether the act that will be promised next was planned after a stop.
     is_planned: bool,
     is_abandoned: bool,
     is_resumed: bool,
@@ -215,10 +216,10 @@ pub(super) fn stages(ran: &Ran) -> Vec<(Timestamp<Server>, Stage)> {
     stages
 }
 
-/// Assumed duration of the last stage.
+/// Assumed duration of the last stage of a run, because no other stage ends it.
 const LASTS_AFTER_END: Span = Span::from_millis(2_000);
 
-/// The intervals in which a mission was at a stage.
+/// Returns the intervals in which a mission was at a stage.
 pub(super) fn intervals(ran: &Ran, stage: Stage) -> Vec<(Timestamp<Server>, Timestamp<Server>)> {
     let stages = stages(ran);
     let until = |index: usize| stages.get(index + 1).map(|(until, _)| *until);
@@ -226,7 +227,8 @@ pub(super) fn intervals(ran: &Ran, stage: Stage) -> Vec<(Timestamp<Server>, Time
     of_stage.map(|(index, (from, _))| (*from, until(index).unwrap_or(*from + LASTS_AFTER_END))).collect()
 }
 
-/// The faults of a run, each with the stage at which it occurred. Leaves out the death of hardware that a robot does not have.
+/// Returns the faults of a run, each with the stage at which it occurred. Omits the death of hardware if the robot has no separate
+/// hardware.
 #[must_use]
 pub fn faults_met(ran: &Ran) -> Vec<(FaultKind, Stage)> {
     let faults = ran.history.iter().filter_map(|(at, happened)| match happened {

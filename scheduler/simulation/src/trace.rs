@@ -76,7 +76,7 @@ fn what_was_drawn(drawn: &Drawn) -> String {
     text
 }
 
-/// The lines for events, records and set values, in order of time.
+/// Returns one line for each event, record and set value, in order of time.
 fn events(ran: &Ran) -> Vec<(Timestamp<Server>, String)> {
     let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));

@@ -1,4 +1,4 @@
-//! Checks that every movement in the log of a robot has one reason. The simulation and the tests with real processes use it.
+//! Checks that every movement in the log of a robot has a reason. The simulation and the tests with real processes use this check.
 
 use std::collections::HashMap;
 
@@ -7,10 +7,10 @@ use urrcp::{ControlType, Device, DeviceId, Robot, Script, Span, Timestamp};
 
 use crate::braking::{self, Braking, is_of};
 
-/// The largest relative difference between two computations of the same value due to rounding.
+/// The largest relative difference, due to rounding, between two computations of the same value.
 const ROUNDING: f64 = 1e-6;
 
-/// Distance from the current position, in the device's unit, above which a movement counts as a jump: twice the granularity.
+/// Distance in the device's unit by which a movement must differ from the current position to count as a jump: twice the granularity.
 pub const JUMP: f64 = 2.0;
 
 /// A script that was promised to a device of a robot.
@@ -18,7 +18,7 @@ pub const JUMP: f64 = 2.0;
 pub struct Promised<'a> {
     /// The device that received the script.
     pub device: &'a DeviceId,
-    /// The script of the plan. `None` if the plan has no such script.
+    /// The script as planned. `None` if the plan does not contain it.
     pub written: Option<&'a Script>,
 }
 
@@ -47,7 +47,7 @@ impl Movement<'_> {
         Self { from: Some(value), since, to: value, until: since, braking: None }
     }
 
-    /// Whether the movement is over. A movement that takes no time is over even if the clock was set back since.
+    /// Whether the movement is over. A movement that takes no time is over even if the clock has been set back since then.
     fn rests(&self, at: Timestamp<Robot>) -> bool {
         at >= self.until || self.until <= self.since
     }
@@ -74,7 +74,7 @@ impl Movement<'_> {
     }
 }
 
-/// A jump of a device from the position at which a stop has left it.
+/// A jump of a device away from the position at which a stop had left it.
 #[derive(Clone, Copy, Debug)]
 pub struct JumpAfterStop<'a> {
     /// The log entry of the stop.
@@ -131,7 +131,8 @@ pub fn unexplained<'a>(
     unexplained
 }
 
-/// Returns the movement of a device to rest or home if it has a reason, or else a description of the violation.
+/// Returns the movement of a device that comes to rest or goes home. Returns a description of the violation if the movement has no
+/// reason.
 fn to_rest<'a>(
     entry: &LogEntry,
     before: Option<Movement<'a>>,
@@ -181,7 +182,7 @@ fn is_rounded(off: f64, value: f64) -> bool {
     off.abs() <= ROUNDING * (1.0 + value.abs())
 }
 
-/// Describes a violation by the movement to rest: it does not start at the position of the device, or it violates the declared
+/// Describes what is wrong with a movement to rest. It does not start at the position of the device, or it violates the declared
 /// acceleration.
 fn flaw(
     entry: &LogEntry,

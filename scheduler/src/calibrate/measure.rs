@@ -10,10 +10,10 @@ use super::talk::{DialogueError, RobotDialogue};
 
 /// Number of readings at rest before the first movement.
 const AT_REST: usize = 24;
-/// The movement must be at least this many times the noise at rest.
+/// Minimum size of a movement, as a multiple of the sensor's noise at rest.
 const NOISE_RATIO: f64 = 5.0;
-/// Minimum duration of a movement, in halves of the interval between two readings, so that at least one reading falls within the
-/// movement. A larger value would make the movement slower, and its start less distinct.
+/// Minimum duration of a movement, as a number of half intervals between readings. At least one reading then falls within the movement. A
+/// larger value would make the movement slower, and its start less distinct.
 const HALF_READINGS_ON_MOVEMENT: i64 = 3;
 /// Minimum number of readings between a movement's command and its start.
 const READINGS_BEFORE: i64 = 10;
@@ -23,14 +23,14 @@ const BETWEEN_READINGS: std::time::Duration = std::time::Duration::from_millis(1
 const WATCHED_FIRST: Span = Span::from_millis(1_000);
 /// Maximum time for which the sensor is read after the end of later movements.
 const WATCHED_MAX: Span = Span::from_millis(3_000);
-/// Maximum number of steps of a movement for a device that holds values.
+/// Maximum number of steps of a movement, for a device that holds each value until the next step.
 const STAIRS_MAX: u32 = 20;
-/// If the error of the median is at most this, the requested number of trials is sufficient.
+/// If the error of the median is at most this, no trials beyond the requested number are made.
 const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
-/// Maximum number of trials, as a multiple of the requested number, so that the median error becomes small enough and the requested
-/// number of trials can be evaluated.
+/// Maximum number of trials, as a multiple of the requested number. Additional trials reduce the error of the median, and replace trials
+/// that cannot be evaluated.
 const TRIALS_FACTOR: usize = 3;
-/// If there is no result after this number of movements because some cannot be evaluated, more trials are useless.
+/// Number of movements after which the measurement fails if it has no result, because some of these movements cannot be evaluated.
 const UNCLEAR_MAX: usize = 3;
 
 /// The result of measuring one device.
@@ -42,9 +42,10 @@ pub struct Measured {
     pub lag: Option<Lag>,
     /// Time by which the device lags behind a ramp. `None` if it is unknown.
     pub tracking_lag: Option<Span>,
-    /// Maximum systematic error of all latencies. It is unknown when, within a round trip, the sensor takes its value.
+    /// Maximum systematic error of all latencies. The error arises because it is unknown when, within a round trip, the sensor takes its
+    /// value.
     pub systematic: Span,
-    /// The interval between two readings, from the median round trip.
+    /// The interval between two readings, computed from the median round trip.
     pub interval: Span,
     /// The median time that the sensor itself takes to respond, without the round trip to the robot.
     pub sensor_delay: Span,
@@ -140,7 +141,7 @@ struct Mover<'a> {
 }
 
 impl Mover<'_> {
-    /// Moves the device to and fro until its latency is known, or until the maximum number of trials.
+    /// Moves the device to and fro until its latency is known, or until the maximum number of trials is reached.
     async fn trials(
         &mut self,
         (from, to): (f64, f64),
@@ -254,7 +255,7 @@ impl Mover<'_> {
     }
 }
 
-/// Runs the estimator on another thread, because it takes longer than the link to the robot may be left without messages.
+/// Runs the estimator on another thread. On this thread, it would block the messages to the robot for too long.
 async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estimate) {
     let fit = move || {
         let estimate = estimate(&trials, readable);
@@ -266,7 +267,8 @@ async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estim
     }
 }
 
-/// Returns the number of movements that cannot be evaluated. If there are too many, returns an error with the first reason.
+/// Returns the number of movements that cannot be evaluated. Returns an error with the first reason if this number is at least
+/// `at_least`, or if at least `at_least` movements were made without a result.
 fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
     let reasons: Vec<Unclear> = estimate.onsets.iter().filter_map(|onset| onset.err()).collect();
     let (count, trials) = (reasons.len(), estimate.onsets.len());

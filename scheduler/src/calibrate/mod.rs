@@ -7,8 +7,8 @@
 //!                       └─▶ talk: one link, one session, one question at a time
 //! ```
 //!
-//! Robots are moved one after the other. A robot is claimed for a session as in a mission, and every command has a lease. In any case,
-//! the devices are ordered to stay where they are before the robot is released.
+//! Robots are moved one after the other. A robot is claimed for a session as in a mission, and every command has a lease. Even after
+//! an error, the devices are ordered to stay where they are before the robot is released.
 
 mod measure;
 mod plan;
@@ -34,7 +34,7 @@ pub enum NotMeasured {
         of: usize,
         /// The number of all movements.
         trials: usize,
-        /// The reason for the first of these movements.
+        /// The reason for the first movement that cannot be evaluated.
         why: Unclear,
     },
     /// The noise of the sensor at rest is too large for the movement.

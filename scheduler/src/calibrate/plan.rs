@@ -78,8 +78,8 @@ pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot
     (planned, unplanned)
 }
 
-/// Plans the measurement of one device. Returns `None` for a device that does not accept positions, and the reason if the device cannot
-/// be measured.
+/// Plans the measurement of one device. Returns `None` for a device that does not accept positions, and an error with the reason if the
+/// device cannot be measured.
 fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice>, String> {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return Ok(None) };
     let Some(how) = robot.mission.calibrate.get(&device.id) else {

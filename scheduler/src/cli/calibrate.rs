@@ -195,8 +195,8 @@ fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     })
 }
 
-/// Returns the path of a temporary file. The new contents are written to it, and it is then renamed, so that nobody reads an incomplete
-/// file.
+/// Returns the path of the temporary file to which the new contents are written. The file is then renamed to `path`, so that nobody reads
+/// an incomplete file.
 fn part_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -272,7 +272,7 @@ fn session() -> Result<Session, String> {
     Session::with_key(name, &key).map_err(|error| error.to_string())
 }
 
-/// Measures the devices of one robot. In any case, devices that may have moved are ordered to stay where they are.
+/// Measures the devices of one robot. Even after an error, orders devices that may have moved to stay where they are.
 async fn one(
     planned: &PlannedRobot<'_>,
     endpoint: Endpoint,

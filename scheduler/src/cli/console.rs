@@ -24,7 +24,7 @@ const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
 /// If, at the end of a mission, nothing can be written for this long, the rest of the output is dropped.
 const IDLE_MAX: Duration = Duration::from_secs(3);
 
-/// The queues of the threads that write the output. Empty until they have started.
+/// The queues of the threads that write the output. Empty until the threads have started.
 static OUTLETS: OnceLock<Outlets> = OnceLock::new();
 /// Size, in bytes, of the parts in which a long JSON document is printed.
 const DOCUMENT_PART: usize = 64 * 1_024;
@@ -34,7 +34,7 @@ static PRINTED: AtomicBool = AtomicBool::new(false);
 /// The printed errors, at most [`ERRORS_MAX`], so that a JSON document that contains them stays readable.
 static ERRORS: Mutex<Vec<String>> = Mutex::new(Vec::new());
 const ERRORS_MAX: usize = 16;
-/// The reason why standard output could not be written. `None` if it could.
+/// The reason why writing to standard output failed. `None` if it has not failed.
 static FAILURE: Mutex<Option<String>> = Mutex::new(None);
 
 /// Whether `--verbose` was given.
@@ -113,7 +113,7 @@ fn fail(reason: String) {
     FAILURE.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
 }
 
-/// Waits for standard error until it is empty, or until no write succeeds within `idle`.
+/// Waits until all queued output is written to standard error, or until no write succeeds within `idle`.
 pub(super) fn drain(idle: Duration) {
     if let Some(outlets) = OUTLETS.get() {
         outlets.stderr.drain(idle);
@@ -139,7 +139,7 @@ pub(super) fn print(text: &str) {
     let _failed = print_while_read(text);
 }
 
-/// Prints a part of an output. After an error, the output can no longer be written, so the caller need not produce the rest.
+/// Prints a part of an output. Returns an error if nothing can be printed any longer; the caller then need not produce the rest.
 fn print_while_read(text: &str) -> std::io::Result<()> {
     PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();

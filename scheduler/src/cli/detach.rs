@@ -27,10 +27,11 @@ const LOG: &str = "log";
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Interval between checks that the log can still be found under its name.
 const KEEP_EVERY: Duration = Duration::from_millis(250);
-/// Number of checks after which a mission that has begun is assumed to play without a socket.
+/// Number of checks after which a mission that has begun is assumed to run without a control socket.
 const LOOKS_FOR_SOCKET: u32 = 25;
 
-/// Returns the mission's name if this process runs in the background, and detaches it from the terminal.
+/// If this process runs a mission in the background, detaches the process from the terminal and returns the mission's name. Otherwise
+/// returns `None`.
 pub(super) fn detached_as() -> Option<SessionId> {
     let session: SessionId = std::env::var(NAME).ok()?.parse().ok()?;
     if let Err(error) = rustix::process::setsid() {
@@ -48,7 +49,7 @@ pub(super) fn detached_as() -> Option<SessionId> {
     Some(session)
 }
 
-/// Writes the log again if it is removed or replaced: the output of the mission is stored nowhere else.
+/// Writes the log again whenever it is removed or replaced, because the output of the mission is stored nowhere else.
 #[expect(clippy::disallowed_methods, reason = "a separate thread, only for the log")]
 fn keep_log(state: &Path, folder: &Path) {
     let mut log = rustix::io::dup(rustix::stdio::stdout()).map(File::from);
@@ -77,7 +78,8 @@ fn log_is_gone(written: &File, folder: &Path) -> io::Result<bool> {
     }
 }
 
-/// Copies the log to its original path, and redirects further output there. A copy of the log's beginning may already exist there.
+/// Copies the log to its original path, and redirects further output to this copy. The path may already contain a copy of the log's
+/// beginning.
 fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<File> {
     private::create_folder(state)?;
     private::create_folder(folder)?;
@@ -141,7 +143,8 @@ pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit 
     })
 }
 
-/// Waits for a moment. Returns whether the operator has requested a stop meanwhile. At this stage, only this process can receive it.
+/// Waits for [`LOOK_EVERY`], or until the operator requests a stop. Returns whether a stop was requested. At this stage, only this
+/// process can receive the request.
 async fn asked_to_stop(signals: Option<&mut Signals>) -> bool {
     let asked = async {
         match signals {

@@ -140,7 +140,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     args.process.run(id, Hosted::driven(block, driver, used).watched(watch), format)
 }
 
-/// Within this time, the same line is printed only once, and at most this number of lines are printed.
+/// A time and a number of lines. Within this time, the same line is printed only once, and at most this number of lines are printed.
 const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 
 /// The lines about the hardware that were printed on the terminal.
@@ -154,7 +154,8 @@ struct Told {
 }
 
 impl Told {
-    /// Returns the line to print for an event, if any. If a line reported that the hardware is unavailable, its return is always printed.
+    /// Returns the line to print for an event, if any. After a printed line has reported unavailable hardware, the return of the hardware
+    /// is always printed.
     fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
         let line = match event {
             HardwareEvent::There { .. } if std::mem::take(&mut self.lost) => {
@@ -180,8 +181,8 @@ impl Told {
     }
 }
 
-/// Returns the first word of a program's command if it is a path of a file that does not exist. Files that only the shell can find are
-/// not checked.
+/// Returns the first word of a program's command if it is a path of a file that does not exist. Words that the shell looks up or expands
+/// are not checked.
 fn missing_program(driver: &DriverSpec) -> Option<&str> {
     let DriverSpec::Program { command } = driver else { return None };
     let file = command.split_whitespace().next()?;

@@ -89,7 +89,7 @@ impl Listening {
         }
     }
 
-    /// Serves clients of a robot at this address until the robot's host stops.
+    /// Serves clients of a robot at this address until the host, which runs the robot, stops.
     pub(super) async fn serve(self, host: HostHandle, robot: usize) -> std::io::Result<()> {
         match self {
             Self::Tcp(listener, door) => serve_behind(listener, host, robot, door).await,
@@ -101,7 +101,7 @@ impl Listening {
 
 #[cfg(feature = "zenoh")]
 impl Way {
-    /// Listens at a key of the Zenoh network. `anyone` states that the operator accepts that anyone on the network could drive the robot.
+    /// Listens at a key of the Zenoh network. `anyone` is true if the operator accepts that anyone on the network could drive the robot.
     pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
         let networks = match &self.joined {
             Some(networks) => networks.clone(),

@@ -60,7 +60,8 @@ pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
     downbeat_scripts::outline(&source, fleet, &folder(args))
 }
 
-/// Returns why a page or another output cannot be written to this path: it would replace one of the `sources`, or it is not a file.
+/// Returns the reason why an output, such as a page, cannot be written to the path `page`: it would replace one of the `sources`, or it
+/// is not a file. Returns `None` if it can be written.
 pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     let whole = |path: &Path| path.canonicalize().ok();
     if page == Path::new("-") {
@@ -70,7 +71,7 @@ pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     Some(format!("this would replace its own source `{}`; choose another name", replaced.display()))
 }
 
-/// Returns the folder that the scenario's includes are relative to.
+/// Returns the folder to which the paths of the scenario's includes are relative.
 fn folder(args: &ScenarioArgs) -> Folder {
     Folder::within(folder_of(args).to_path_buf(), args.project.of(&args.scenario))
 }
@@ -79,7 +80,8 @@ fn folder_of(args: &ScenarioArgs) -> &Path {
     args.scenario.parent().unwrap_or(Path::new(""))
 }
 
-/// Reads the fleet file of a scenario. If the scenario names this file, it must be in the project. Also returns the path.
+/// Reads the fleet file of a scenario. Returns its path, its contents and the findings. If the scenario itself names the file, the file
+/// must be in the project.
 fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>, Vec<Finding>)) {
     let project = args.project.of(&args.scenario);
     let named = match &args.fleet {
@@ -105,12 +107,12 @@ fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>,
 }
 
 impl ProjectArgs {
-    /// Returns the project of a file: the project that the operator has named, or else the one that contains the file.
+    /// Returns the project to which a file belongs: the one that the operator has named, or else the one that contains the file.
     pub(super) fn of(&self, file: &Path) -> Project {
         self.project.clone().unwrap_or_else(|| Project::of(file))
     }
 
-    /// Restores the project from the folder that a journal contains.
+    /// Restores the project from its folder, which the journal contains.
     pub(super) fn remembered(folder: Option<&Path>) -> Self {
         Self { project: folder.and_then(|folder| Project::within(folder).ok()) }
     }

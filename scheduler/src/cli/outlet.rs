@@ -14,7 +14,7 @@ use rustix::event::{PollFd, PollFlags};
 use rustix::fd::BorrowedFd;
 use rustix::io::Errno;
 
-/// Maximum number of entries that may wait to be written.
+/// Maximum number of queued entries. If the queue is full, further lines may be dropped.
 const WAITING_MAX: usize = 1_024;
 /// Maximum number of bytes per write. A pipe that is ready for writing accepts this number without blocking.
 const CHUNK: usize = 4_096;
@@ -57,7 +57,7 @@ impl Stream {
     }
 }
 
-/// A display below the printed lines. Each method returns bytes that must be written at once.
+/// A display below the printed lines. The caller must immediately write the bytes that a method returns.
 pub(super) trait Display: Send {
     /// Returns the bytes that remove the last frame from the screen, so that lines can be printed there.
     fn lift(&mut self) -> Vec<u8>;
@@ -84,7 +84,7 @@ struct Queue {
     drawing: bool,
     /// Number of successful writes, which shows whether the thread makes progress.
     progress: u64,
-    /// The reason why standard output cannot be written. `None` if no write has failed.
+    /// The reason why writing to standard output failed. `None` if it has not failed, or if the reader has closed its pipe.
     failure: Option<String>,
     /// Streams to which a write has failed, for example because the reader has closed its pipe.
     closed: Vec<Stream>,
@@ -127,6 +127,8 @@ impl Shared {
 pub(super) struct Outlet(Arc<Shared>);
 
 impl Outlet {
+    /// Starts an output thread with this name, and returns its queue.
+    ///
     /// # Errors
     /// Fails if the thread cannot be started.
     pub(super) fn start(name: &str) -> io::Result<Self> {
@@ -136,7 +138,7 @@ impl Outlet {
         Ok(Self(shared))
     }
 
-    /// Queues text that consists of whole lines. Drops it if the queue is full.
+    /// Queues text that consists of whole lines. Drops the text if the queue is full.
     pub(super) fn offer(&self, stream: Stream, text: String) {
         let mut queue = self.0.lock();
         if queue.entries.len() >= WAITING_MAX {
@@ -164,7 +166,7 @@ impl Outlet {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, or until no write has succeeded for `idle`. If standard output could not be written, returns
+    /// Waits until everything is written, or until no write has succeeded for `idle`. If writing to standard output has failed, returns
     /// the reason.
     pub(super) fn drain(&self, idle: Duration) -> Option<String> {
         let mut queue = self.0.lock();

@@ -95,7 +95,7 @@ struct PlannedAct<'a> {
     robots: Requests<'a>,
 }
 
-/// Times and budgets of an act, for the JSON output.
+/// Times, latencies, and use of devices and bodies in an act, for the JSON output.
 #[derive(Serialize)]
 pub(super) struct ActFigures<'a> {
     act: &'a str,

@@ -1,4 +1,5 @@
-//! `--realtime`: the scheduling that is requested for the thread that wakes this process's robots, and the scheduling that it obtained.
+//! `--realtime`: requests real-time scheduling for the thread that wakes this process's robots, and reports the scheduling that this
+//! thread has obtained.
 
 use clap::ValueEnum;
 use downbeat_robot::realtime::Realtime;

@@ -105,8 +105,8 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     }
 }
 
-/// Prints the result of withdrawing a mission instead of resuming it. If all stops are confirmed, returns the exit code for the mission's
-/// outcome.
+/// Prints the result of withdrawing (stopping) a mission instead of resuming it. If all stops are confirmed, returns the exit code for
+/// the mission's outcome.
 fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
     if let (Ok(withdrawn), Format::Text) = (&withdrawn, format) {
         console::print(&ending_text(&withdrawn.report, console::columns()));
@@ -248,8 +248,8 @@ fn fleet_file<'a>(opened: &'a Opened, args: &'a ResumeArgs) -> &'a Path {
     args.fleet.as_deref().unwrap_or(&opened.fleet)
 }
 
-/// Checks whether the programs that drive these robots may be started. If the operator names a fleet file, they may. The mission's own
-/// fleet file must be writable only by the operator, and must name the same programs as before.
+/// Checks whether the programs that drive these robots may be started. They may if the operator names a fleet file. Otherwise, the
+/// mission's own fleet file must be writable only by the operator, and must name the same programs as before.
 fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Result<(), String> {
     let mut programs = robots.iter().filter(|robot| matches!(robot.address, Address::Program { .. }));
     let Some(first) = programs.next() else { return Ok(()) };
@@ -277,7 +277,7 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
     }
 }
 
-/// Returns those programs of a withdrawn mission that may be started. Prints why the others may not.
+/// Returns those driver programs of a withdrawn mission that may be started. Prints why the others may not.
 fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Programs {
     let is_program = |robot: &&OpenedRobot| matches!(robot.address.parse(), Ok(Address::Program { .. }));
     let driven: Vec<_> = opened.robots.iter().filter(is_program).map(|robot| &robot.robot).collect();

@@ -259,7 +259,7 @@ enum Place {
     Terminal,
     /// In a background process that has not been started yet.
     Detaching,
-    /// In this process, which runs in the background without a terminal. The session has the contained name.
+    /// In this process, which runs in the background without a terminal. The contained name is that of the session.
     Background(SessionId),
     /// In this process, as a preparation of the actual mission: it only asks robots for the positions of their devices.
     Asking,
@@ -424,8 +424,8 @@ impl Work<'_> {
             .await
     }
 
-    /// Returns the state folder. Returns an error if another mission of this machine has these robots. A mission without a journal does
-    /// not need the folder.
+    /// Returns the folder for the state of missions. Returns an error if another mission of this machine contains one of these robots.
+    /// Returns `None` if the folder is unusable and the mission keeps no journal.
     fn state(&self, robots: &[&FleetRobot]) -> Result<Option<PathBuf>, Stopped> {
         let read = journal::state_folder().map_err(|error| error.to_string()).and_then(|state| {
             let missions = Missions::of(&state).map_err(|error| unusable(&state, &error))?;
@@ -487,7 +487,8 @@ impl Work<'_> {
         Ok(Some(start))
     }
 
-    /// Creates the mission's resources, except for the journal and the stop lane.
+    /// Creates the mission's recording, if one is requested, and the watch that compares its clock with NTP. Does not create the journal
+    /// and the stop lane.
     fn keep(&self, fleet: &Fleet, clock: ServerClock) -> Result<Keep, Stopped> {
         let ntp = fleet.ntp.clone().map(|server| NtpWatch::start(server, clock, NTP_WATCH_INTERVAL));
         let mut keep = Keep { ntp, ..Keep::default() };
@@ -604,8 +605,8 @@ impl StartAt {
         }
     }
 
-    /// Returns a sentence about which instant `--at` means if the clocks show its time of day twice on that date. Otherwise returns
-    /// `None`.
+    /// Returns a sentence that states which instant `--at` means, if the clocks show its time of day twice on that date. Otherwise
+    /// returns `None`.
     fn choice_of_two(self, at: Timestamp<Server>, zone: Zone) -> Option<String> {
         let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
         let which = if at < other { "the first" } else { "the second" };
@@ -680,8 +681,8 @@ async fn measured_wake_up(realtime: RealtimeArgs) -> Option<WakeUp> {
     tokio::task::spawn_blocking(measure).await.ok()?.ok()
 }
 
-/// Creates the server's clock: by NTP if the fleet file names an NTP server, else from the system clock. Also returns its offset from the
-/// system clock.
+/// Creates the server's clock: by NTP if the fleet file names an NTP server, else from the system clock. Also returns the uncertainty of
+/// the NTP time, or zero for the system clock.
 pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Span), String> {
     let Some(server) = &fleet.ntp else { return Ok((ServerClock::anchored(Span::ZERO), Span::ZERO)) };
     let reading = server_clock::ask_ntp(server).await.map_err(|error| error.to_string())?;
@@ -694,7 +695,8 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// Starts the stop lane. Returns it and the receiver of the operator's commands.
+/// Starts the stop lane, which can stop the robots even if everything else is blocked. Also returns the receiver of the operator's
+/// commands.
 pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
     StopLane::start(on_hang_up).map_err(|error| format!("cannot prepare to stop the robots: {error}"))
 }

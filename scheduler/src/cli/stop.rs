@@ -264,7 +264,8 @@ const ENDS_WITHIN: Duration = Duration::from_secs(2);
 /// Interval between checks whether the process has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// The parts of a report that state how robots came to rest. The report of a direct stop has neither `home` nor `standing`.
+/// The parts of a report that state how robots came to rest. If this command stopped the robots directly, the report has neither `home`
+/// nor `standing`.
 #[derive(Deserialize)]
 struct Rested {
     robots: Vec<RestedRobot>,
@@ -277,8 +278,8 @@ struct RestedRobot {
     stop: StopState,
 }
 
-/// Whether robots came to rest in the other manner (in place instead of home, or vice versa), although this stop is the operator's latest
-/// one.
+/// Whether the mission did not carry out this stop: robots rest in place instead of at home, or vice versa, although no later stop has
+/// replaced this one.
 fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     let other = match rest {
         Rest::InPlace => StopState::Home,
@@ -473,7 +474,7 @@ impl Stopped {
     }
 }
 
-/// Returns the line about a robot's stop. `begun` is when this command began to stop the robots directly; the mission's leases may have
+/// Returns the line about a robot's stop. `begun` is when this command began to stop the robots directly. The mission's leases may have
 /// expired long before.
 fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> String {
     let name = &robot.robot;

@@ -29,6 +29,8 @@ pub(super) struct Traces {
 }
 
 impl TracesArgs {
+    /// Prepares the connection to the collector if the user has requested traces.
+    ///
     /// # Errors
     /// Fails if the URL is invalid, or if this build does not support traces.
     #[cfg(feature = "traces")]

@@ -9,7 +9,7 @@ pub(crate) trait Health: Send + Sync {
     fn now(&self) -> Pin<Box<dyn Future<Output = Checked> + Send + '_>>;
 }
 
-/// The results of both health checks, as text for people. Each error names the fault.
+/// The results of the two health checks, `alive` and `ready`, as text for people. Each error names the fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Checked {
     /// Whether the part works. If it does not, the process must be restarted.

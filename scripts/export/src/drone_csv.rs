@@ -9,11 +9,11 @@ use downbeat_yaml::finding::names;
 use crate::track::{Robot, Track};
 use crate::{LINES_MAX, file_name};
 
-/// Default sampling rate: lines per second.
+/// Default sampling rate, in lines per second.
 const RATE_HZ: f64 = 10.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Returns one file per drone; adds omissions to `notes`.
+/// Returns one file per drone, and adds messages about omitted data to `notes`.
 pub(crate) fn files(
     robots: &[Robot<'_>],
     rate_hz: Option<f64>,
@@ -48,7 +48,7 @@ fn axes<'a, 'b>(robot: &'b Robot<'a>) -> Option<[&'b Track<'a>; 3]> {
     Some([axis(AXES[0])?, axis(AXES[1])?, axis(AXES[2])?])
 }
 
-/// Returns the sampling times in whole milliseconds, strictly increasing, up to and including `end_ms` rounded up.
+/// Returns the sampling times in whole milliseconds, in strictly increasing order. The last one is `end_ms`, rounded up.
 fn times(end_ms: f64, rate: f64) -> Vec<f64> {
     let mut times: Vec<f64> = (0_u32..)
         .map(|index| (f64::from(index) * 1_000.0 / rate).round())

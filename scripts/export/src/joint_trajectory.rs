@@ -10,7 +10,7 @@ use urrcp::Interpolation;
 use crate::track::{Robot, Track};
 use crate::{LINES_MAX, file_name};
 
-/// Returns one file per robot; adds omissions and changes to `notes`.
+/// Returns one file per robot, and adds messages about omitted or changed data to `notes`.
 pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
     let mut files = Vec::new();
     let mut lines = 0;
@@ -48,7 +48,7 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
     if files.is_empty() { Err("no device with a single value is moved".into()) } else { Ok(files) }
 }
 
-/// Returns all step times of the joints, in milliseconds. For a joint that jumps at a step, adds a time 1 ms earlier.
+/// Returns the times of all steps of the joints, in milliseconds. If a joint jumps at a step, also returns the time 1 ms before the step.
 fn times(joints: &[&Track<'_>]) -> Vec<f64> {
     let mut times: Vec<f64> = Vec::new();
     for joint in joints {

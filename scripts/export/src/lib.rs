@@ -1,4 +1,5 @@
-//! Exports a compiled scenario to file formats of other tools. Files contain the steps that are sent, not the movements as written.
+//! Exports a compiled scenario to file formats of other tools. The files contain the steps that robots receive, not the movements as
+//! written in the scenario.
 
 mod drone_csv;
 mod joint_trajectory;
@@ -8,21 +9,21 @@ use downbeat_fleet::fleet::Fleet;
 use downbeat_import::FilePart;
 use downbeat_plan::Choreography;
 
-/// Maximum number of lines in all files together.
+/// Maximum total number of lines in the files of an export; for joint trajectories, maximum number of positions.
 const LINES_MAX: usize = 5_000_000;
 
 /// The file format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ExportFormat {
-    /// One CSV file per drone; Skybrush Studio reads them from a zip.
+    /// One CSV file per drone; Skybrush Studio reads these files from a ZIP archive.
     DroneCsv,
     /// The fields of the ROS message `trajectory_msgs/JointTrajectory` as YAML, one file per robot.
     JointTrajectory,
 }
 
 impl ExportFormat {
-    /// All formats with their names on the command line.
+    /// All formats, each with its name on the command line.
     pub const WORDS: [(&'static str, Self); 2] =
         [("drone-csv", Self::DroneCsv), ("joint-trajectory", Self::JointTrajectory)];
 }
@@ -32,13 +33,14 @@ impl ExportFormat {
 pub struct Exported {
     /// One file per robot.
     pub files: Vec<FilePart>,
-    /// Messages about omissions and changes.
+    /// Messages about data that the export omits or changes.
     pub notes: Vec<String>,
     /// The reason why there are no files; `None` after a successful export.
     pub problem: Option<String>,
 }
 
-/// Exports the acts of the main line one after another. `rate_hz`, from 0.001 to 1000, is the sampling rate of formats that are sampled.
+/// Exports the acts of the main line (the first act, and those that follow it by `next`) one after another. `rate_hz`, from 0.001 to
+/// 1000, is the sampling rate of formats that are sampled; `None` for the format's default.
 #[must_use]
 pub fn export(
     format: ExportFormat,

@@ -1,4 +1,4 @@
-//! The values of every device over the whole choreography: all acts of the main line, one after another.
+//! The values of every device over the acts of the main line (the first act, and those that follow it by `next`), one after another.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use urrcp::{ControlType, Interpolation};
 
 pub(crate) struct Robot<'a> {
     pub(crate) name: &'a str,
-    /// Tracks of the robot's devices, in the order of the plan.
+    /// Tracks of the robot's devices, in the order in which the devices first occur in the plan.
     pub(crate) tracks: Vec<Track<'a>>,
 }
 
@@ -24,7 +24,7 @@ pub(crate) struct Track<'a> {
 }
 
 impl Track<'_> {
-    /// Returns the values at `at_ms`. Before the first step, they come from `home` or, if that is unknown, from the first step.
+    /// Returns the device's values at `at_ms`. Before the first step, they come from `home` or, if that is unknown, from the first step.
     pub(crate) fn values(&self, at_ms: f64) -> Vec<f64> {
         let next = self.points.partition_point(|(at, _)| *at <= at_ms);
         let Some((from_ms, from)) = next.checked_sub(1).map(|index| &self.points[index]) else {
@@ -55,7 +55,7 @@ fn mixed(from: &[f64], to: &[f64], share: f64) -> Vec<f64> {
     from.iter().zip(to).map(|(from, to)| from + (to - from) * share).collect()
 }
 
-/// Returns the tracks of all robots, and notes about omissions.
+/// Returns the tracks of all robots' devices, and messages about omitted data.
 pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
     let mut robots: Vec<Robot<'a>> = Vec::new();
     let mut rates: BTreeMap<String, ()> = BTreeMap::new();
@@ -97,7 +97,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     (robots, notes)
 }
 
-/// Adds the steps of a script. Returns `false` if the script sets speeds or accelerations.
+/// Adds the steps of a script to the robot's tracks. If the script sets speeds or accelerations, adds nothing and returns `false`.
 fn add<'a>(robot: &mut Robot<'a>, script: &'a DeviceScript, begin_ms: f64, fleet: &Fleet) -> bool {
     let steps = script.script.steps();
     let rate = |control: ControlType| matches!(control, ControlType::Speed | ControlType::Acceleration);

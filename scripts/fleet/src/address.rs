@@ -18,7 +18,7 @@ pub enum Address {
         /// The protection of the connection.
         protection: Protection,
     },
-    /// `thrift://host:port`: a robot with the early Thrift protocol, driven by this process.
+    /// `thrift://host:port`: a robot that speaks the early protocol, based on Thrift. This process drives it.
     Thrift {
         /// Host name or IP address of the robot.
         host: String,
@@ -30,7 +30,7 @@ pub enum Address {
         /// The Zenoh key of the robot, without wildcards.
         key: String,
     },
-    /// `program:COMMAND`: a robot that this process drives by a program.
+    /// `program:COMMAND`: a robot that this process drives through a separate program.
     Program {
         /// The command line of the program, for a shell.
         command: String,
@@ -49,7 +49,7 @@ pub enum Protection {
 }
 
 impl Protection {
-    /// The URL scheme of addresses with this protection.
+    /// Returns the URL scheme of addresses with this protection.
     #[must_use]
     pub const fn scheme(self) -> &'static str {
         match self {
@@ -72,7 +72,8 @@ impl fmt::Display for Address {
     }
 }
 
-/// A host and port in the network, or a Zenoh key, in canonical form. Two addresses with the same one lead to the same robot.
+/// The place in the network at which a robot is reached, in canonical form: a host and port, or a Zenoh key. Two addresses with equal
+/// places lead to the same robot.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Reached {
     host: ReachedHost,
@@ -82,14 +83,15 @@ pub struct Reached {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum ReachedHost {
     Ip(IpAddr),
-    /// A name without the final dot, in lower case. Only DNS can resolve it.
+    /// A host name in lower case, without the final dot. Only DNS can resolve it.
     Name(String),
     /// A key of a Zenoh network, which has no ports.
     Key(String),
 }
 
 impl Address {
-    /// The places in the network to which the address leads, as far as they are known without DNS. Empty if the robot listens nowhere.
+    /// Returns the places in the network to which the address leads, as far as they are known without DNS. Empty if the robot has no
+    /// place in the network.
     pub fn places(&self) -> Vec<Reached> {
         match self {
             Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
@@ -124,8 +126,8 @@ impl Address {
     }
 }
 
-/// The canonical hosts for a host name or IP address. `localhost` is this machine in both versions of IP. For clients, the unspecified
-/// address is this machine, too.
+/// Returns the canonical hosts for a host name or IP address. `localhost` means this machine, over both IPv4 and IPv6. The unspecified
+/// address (`0.0.0.0` or `::`) also means this machine, because clients that connect to it reach their own machine.
 fn hosts(host: &str) -> Vec<ReachedHost> {
     let ip = host.parse::<IpAddr>().map(|ip| match ip.to_canonical() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
@@ -142,7 +144,7 @@ fn hosts(host: &str) -> Vec<ReachedHost> {
     }
 }
 
-/// Whether a text is a key expression of Zenoh without wildcards.
+/// Whether a text is a Zenoh key expression without wildcards.
 fn is_key(text: &str) -> bool {
     let is_chunk = |chunk: &str| {
         !chunk.is_empty() && !chunk.contains(['*', '$', '?', '#']) && !chunk.contains(char::is_whitespace)
@@ -154,7 +156,7 @@ fn is_key(text: &str) -> bool {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InvalidAddress;
 
-/// The forms of addresses, for messages.
+/// The accepted forms of addresses, for messages to the user.
 pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for InvalidAddress {
@@ -244,7 +246,7 @@ impl Address {
     }
 }
 
-/// A hint for a serial port, or the address of a robot in another middleware.
+/// Returns a hint if a text is a serial port or an address of another bus or middleware, such as CAN or ROS.
 fn of_another_bus(text: &str) -> Option<String> {
     let is_serial = text.starts_with("/dev/")
         || text.strip_prefix("COM").is_some_and(|number| number.parse::<u8>().is_ok());

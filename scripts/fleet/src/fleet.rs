@@ -54,7 +54,7 @@ use moves::MovesKeys;
 pub use moves::SimulatedMoves;
 pub use sensors::sensor;
 
-/// The index of the file of measured latencies in the places of findings; the fleet file has index 0.
+/// The index that the place of a finding has if it is in the file of measured latencies. Index 0 stands for the fleet file.
 const LATENCY_FILE: u16 = 1;
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
@@ -158,21 +158,22 @@ pub struct Fleet {
     pub ntp: Option<String>,
     /// Whether robots must identify themselves.
     pub handshake: Handshake,
-    /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses.
+    /// The path of the file with the operator's key and certificate, for robots with `tls://` and `hmac://` addresses. `None` if the
+    /// fleet file contains no path.
     pub identity: Option<PathBuf>,
-    /// The list of revoked certificates.
+    /// The path of the list of revoked certificates. `None` if the fleet file contains no path.
     pub revoked: Option<PathBuf>,
-    /// The configuration of the Zenoh network, for robots with `zenoh:` addresses.
+    /// The path of the configuration of the Zenoh network, for robots with `zenoh:` addresses. `None` if the fleet file contains no path.
     pub zenoh: Option<PathBuf>,
     /// Requirements on the space that all robots share.
     pub space: Space,
     /// The robots, in the order of the file.
     pub robots: Vec<FleetRobot>,
-    /// Names for groups of robots.
+    /// The robots of each group, by the name of the group.
     pub groups: BTreeMap<String, Vec<RobotId>>,
 }
 
-/// The keys of fleet files.
+/// Returns the declaration of the keys of fleet files.
 #[must_use]
 pub fn fleet_keys() -> &'static Declaration {
     FleetKeys::declaration()
@@ -184,7 +185,7 @@ pub enum Handshake {
     /// All robots must identify themselves.
     #[default]
     Full,
-    /// The initialization blocks in files are trusted instead.
+    /// No handshake: the initialization blocks in files are trusted instead.
     Skip,
 }
 
@@ -202,14 +203,14 @@ pub struct FleetRobot {
     pub simulation: SimulationSettings,
     /// The largest speed and acceleration of the robot's devices, by device id, if they are lower than the declared limits.
     pub limits: BTreeMap<String, RateLimits>,
-    /// The body of the robot, which relates its devices to space.
+    /// The body of the robot, which relates its devices to space. `None` if the fleet file describes no body.
     pub body: Option<Body>,
     /// The robot's other properties that a mission uses.
     pub mission: MissionSettings,
 }
 
 impl FleetRobot {
-    /// A robot with the given properties; all other keys of the fleet file have their defaults.
+    /// Creates a robot with the given properties. All other properties have the defaults of the fleet file.
     #[must_use]
     pub fn new(id: RobotId, address: Address, init: Option<InitializationBlock>) -> Self {
         Self {
@@ -224,7 +225,7 @@ impl FleetRobot {
     }
 }
 
-/// Limits of a device's motion: upper bounds of the derivatives of its value.
+/// Limits of a device's motion: upper bounds of the derivatives of its value. A limit is `None` if it is not known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RateLimits {
     /// Limit of the first derivative, in the device's unit per second: the speed if the value is a position.
@@ -234,8 +235,8 @@ pub struct RateLimits {
 }
 
 impl RateLimits {
-    /// Fills in missing limits with those that the device declares for the control types speed and acceleration: the larger of
-    /// `|min_value|` and `|max_value|`. If the device is driven by speed, the first derivative is an acceleration.
+    /// Replaces missing limits by those that the device declares for the control types speed and acceleration: the larger of
+    /// `|min_value|` and `|max_value|`. If the device is driven by speed, the first derivative of its value is an acceleration.
     #[must_use]
     pub fn or_declared(self, device: &Device, control_type: ControlType) -> Self {
         let declared = |rate| {
@@ -265,13 +266,13 @@ pub struct SimulationSettings {
     pub jitter: Span,
     /// The accuracy with which NTP measures the raw clock. `None` if the robot has no NTP.
     pub ntp_error: Option<Span>,
-    /// Least and largest delay of every message, in each direction.
+    /// Least and largest delay of every message, in each direction. `None` if the fleet file states no delay.
     pub delay: Option<(Span, Span)>,
     /// The fault of the robot, if any.
     pub fault: Option<Fault>,
     /// The readings of the robot's sensors, in their units. Other sensors have no readings.
     pub readings: Vec<(DeviceId, f64)>,
-    /// How the body follows the listed devices. The body follows all other devices immediately.
+    /// How the robot's body follows its devices. The body immediately follows devices that are not listed.
     pub moves: Vec<SimulatedMoves>,
 }
 
@@ -301,14 +302,14 @@ pub enum Fault {
     Disconnect,
 }
 
-/// Reads a fleet file that the user has named, and the files that it refers to. These must be in the project of the fleet file
-/// ([`Project::of`]). Returns the findings of all files together, and the fleet only if there are no errors.
+/// Reads a fleet file that the user has specified, and the files to which it refers. These files must be in the project of the fleet file
+/// ([`Project::of`]). Returns the findings in all files together, and the fleet only if there are no errors.
 #[must_use]
 pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     read_fleet_within(path, &Project::of(path))
 }
 
-/// Like [`read_fleet`], but the files must be in the given project.
+/// Like [`read_fleet`], but the files to which the fleet file refers must be in the given project.
 #[must_use]
 pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, Source::read(path), project)
@@ -391,7 +392,7 @@ struct FleetReader<'a> {
     folder: PathBuf,
     project: &'a Project,
     awaited: Latencies,
-    /// The robot descriptions read so far, by path: many robots share a file.
+    /// The robot descriptions read so far, by path, because many robots share a file.
     inits: HashMap<PathBuf, Option<Init>>,
     /// The URDF files of arms read so far.
     urdfs: urdf::Urdfs,
@@ -400,7 +401,7 @@ struct FleetReader<'a> {
     /// The fleet file, followed by the file with index [`LATENCY_FILE`] if there is one.
     sources: Vec<Source>,
     findings: Reader,
-    /// Findings in other files than the fleet file and the latency file.
+    /// Findings in files other than the fleet file and the latency file.
     elsewhere: Vec<Finding>,
 }
 
@@ -467,7 +468,7 @@ impl FleetReader<'_> {
         Some(fleet)
     }
 
-    /// Reports two robots whose names look the same.
+    /// Reports two robots whose names look the same but are encoded differently.
     fn same_name(&mut self, name: &str, robots: &At<'_>) {
         let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
         let message = format!(
@@ -696,7 +697,7 @@ impl FleetReader<'_> {
         readings
     }
 
-    /// Reads the groups. `named` maps the composed names of all robots to their names in the file.
+    /// Reads the groups of robots. `named` maps each robot's name in Unicode normalization form C to its name in the file.
     fn groups(&mut self, at: &At<'_>, named: &HashMap<String, &str>, fleet: &mut Fleet) {
         let ids: HashMap<String, RobotId> = fleet
             .robots

@@ -45,17 +45,17 @@ pub fn init_text(block: &InitializationBlock) -> String {
     serde_yaml::to_string(block).unwrap_or_default()
 }
 
-/// A description as read from a file.
+/// A robot's description as read from a file.
 #[derive(Clone, Debug)]
 pub enum Init {
-    /// A complete description, with warnings.
+    /// A complete description, and warnings about it.
     Block(Box<InitializationBlock>, Vec<Finding>),
-    /// The description of a Thrift robot, with its devices as a dictionary, which may be incomplete.
+    /// The description of a Thrift robot: a dictionary of devices, which may be incomplete.
     Dictionary(Source, Node),
 }
 
 impl Init {
-    /// Reads a description, as a block or a dictionary.
+    /// Reads a robot's description: an initialization block, or a dictionary of devices.
     pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
         if let Some(finding) = node::too_deep(&source) {
             return Err(vec![finding]);
@@ -81,7 +81,7 @@ impl Init {
         }
     }
 
-    /// The complete initialization block. `supplements` provide, by device, the values that a dictionary lacks.
+    /// Returns the complete initialization block. For each device id, `supplements` contains the values that a dictionary lacks.
     pub fn block(&self, supplements: &[(String, Supplement)]) -> Result<InitializationBlock, Vec<Finding>> {
         match self {
             Self::Block(block, _) => Ok(block.as_ref().clone()),
@@ -94,7 +94,7 @@ impl Init {
         }
     }
 
-    /// The ids of the devices in the description.
+    /// Returns the ids of the devices in the description.
     pub fn devices(&self) -> Vec<&str> {
         match self {
             Self::Block(block, _) => block.devices.iter().map(|device| device.id.as_str()).collect(),

@@ -40,7 +40,7 @@ impl SensorRange {
     }
 }
 
-/// Reads exactly one of `above`, `below` and `within`.
+/// Reads a range of readings from exactly one of the keys `above`, `below` and `within`.
 pub fn sensor_range(
     reader: &mut Reader,
     at: &At<'_>,

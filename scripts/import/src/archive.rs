@@ -11,7 +11,7 @@ const FILES_MAX: usize = 50_000;
 /// Maximum unpacked size of a file, and of all files together, in bytes.
 const FILE_BYTES_MAX: u64 = 8 << 20;
 const ALL_BYTES_MAX: u64 = 128 << 20;
-/// The signature at the start of an entry in a ZIP directory.
+/// The signature at the start of each entry in the directory of a ZIP archive.
 const ENTRY: &[u8] = b"PK\x01\x02";
 
 /// An archive that is being read.
@@ -32,7 +32,7 @@ impl<'a> Archive<'a> {
         Ok(Self { zip, left: ALL_BYTES_MAX })
     }
 
-    /// The names of the files, in the order of the archive.
+    /// Returns the names of the files, in the order of the archive.
     pub(super) fn names(&self) -> impl Iterator<Item = String> {
         let names = self.zip.file_names().filter_map(Result::ok);
         names.filter(|name| !name.ends_with('/')).map(std::borrow::Cow::into_owned)

@@ -19,9 +19,9 @@ use super::{
 /// Maximum number of robots of an import, and maximum number of devices of a robot in a scene.
 const ROBOTS_MAX: usize = 10_000;
 pub(super) const DEVICES_MAX: usize = 1_000;
-/// Maximum length of the name of a kind of robot, in characters, because the name becomes a file name.
+/// Maximum length of the name of a kind of robot, in characters. It is limited because the name becomes a file name.
 const KIND_CHARS_MAX: usize = 48;
-/// Maximum number of names in a note about the origin.
+/// Maximum number of file names in the text that states the origin of an imported choreography.
 const ORIGINS_MAX: usize = 6;
 
 /// Assembles the choreography from the motions of all files; `None` if there is nothing to play.
@@ -182,7 +182,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     }
 }
 
-/// Unwraps values that wrap around, such as headings at 360.
+/// Unwraps values that wrap around, such as headings that jump from 360° to 0°.
 fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for (target, period) in &options.unwraps {
         let (mut used, mut turns) = (false, 0_usize);
@@ -206,11 +206,11 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
     }
 }
 
-/// A first value at this time or later is late: the scene may come from the middle of a timeline.
+/// A note reports scenes whose first value is at this time or later, because they may come from the middle of a timeline.
 const LATE: Span = Span::from_millis(1_000);
 
-/// Shifts each scene so that its first value is at the time that the user gives; if the times are dates, at 0 s. Otherwise, notes first
-/// values that are late ([`LATE`]).
+/// Shifts each scene so that its first value is at the time that the user specifies; if the times are dates, by default at 0 s. Adds a
+/// note about a scene that is not shifted if its first value is at [`LATE`] or later.
 fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
@@ -261,7 +261,7 @@ fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
     }
 }
 
-/// Checks the devices against the initialization block of the robots, and converts values to the units in the block.
+/// Checks the imported devices against the initialization block of the robots, and converts values to the units in that block.
 fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
     let known = || init.devices.iter().map(|device| device.id.as_str());
     let mut missing: BTreeMap<String, Option<String>> = BTreeMap::new();

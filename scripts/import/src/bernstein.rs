@@ -1,18 +1,18 @@
-//! Bounds of polynomials. The convex hull of the control points of a polynomial's Bernstein form contains the curve.
+//! Bounds of polynomials. The curve lies within the convex hull of the control points of the polynomial's Bernstein form.
 
 use super::{Piece, keyframes};
 
-/// Number of bisections. With this number, the error of the bounds is about a thousandth of the curve's bend.
+/// Number of bisections. Each bisection reduces the error of the bounds to about a quarter, so five reduce it to about a thousandth.
 const HALVINGS: u32 = 5;
 
-/// A lower and an upper bound of the values of a piece.
+/// Returns a lower and an upper bound of the values of a polynomial piece.
 pub(super) fn bounds(piece: &Piece) -> [f64; 2] {
     let mut bounds = [f64::INFINITY, f64::NEG_INFINITY];
     widen(&control_points(&scaled(piece)), HALVINGS, &mut bounds);
     bounds
 }
 
-/// An upper bound of a piece's absolute second derivative, in units per second squared.
+/// Returns an upper bound of the absolute second derivative of a polynomial piece, in units per second squared.
 pub(super) fn bend(piece: &Piece) -> f64 {
     let second = piece.coefficients.iter().enumerate().skip(2);
     let coefficients: Vec<f64> = second.map(|(power, c)| (power * (power - 1)) as f64 * c).collect();
@@ -23,7 +23,7 @@ pub(super) fn bend(piece: &Piece) -> f64 {
     most.max(-least)
 }
 
-/// The coefficients of a piece for a time that runs from 0 to 1.
+/// Returns the coefficients of a polynomial piece whose duration is scaled to 1.
 fn scaled(piece: &Piece) -> Vec<f64> {
     let seconds = keyframes::seconds(piece.length);
     let mut power = 1.0;
@@ -35,7 +35,8 @@ fn scaled(piece: &Piece) -> Vec<f64> {
     scaled.collect()
 }
 
-/// The control points of a polynomial with coefficients c_i: b_j = sum over i of c_i (j over i) / (n over i).
+/// Returns the control points of the polynomial of degree n with coefficients c_i: b_j = sum over i of c_i (j over i) / (n over i). `(n
+/// over i)` is a binomial coefficient.
 fn control_points(coefficients: &[f64]) -> Vec<f64> {
     let degree = coefficients.len().saturating_sub(1);
     let point = |j: usize| {
@@ -50,7 +51,8 @@ fn control_points(coefficients: &[f64]) -> Vec<f64> {
     (0..coefficients.len()).map(point).collect()
 }
 
-/// Bisects the curve (de Casteljau) until its control points are close to it, and extends `bounds` to contain them.
+/// Bisects the curve `halvings` times by de Casteljau's algorithm, and extends `bounds` to contain the resulting control points, which
+/// are close to the curve.
 fn widen(points: &[f64], halvings: u32, bounds: &mut [f64; 2]) {
     if halvings == 0 || points.len() < 3 {
         for point in points {

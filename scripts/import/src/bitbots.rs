@@ -1,4 +1,4 @@
-//! Keyframe animations of the RoboCup team Bit-Bots: `keyframes: [{duration, pause, goals: {joint: degrees}}]`.
+//! Reads keyframe animations of the RoboCup team Bit-Bots: `keyframes: [{duration, pause, goals: {joint: degrees}}]`.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -16,7 +16,7 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
 /// Maximum number of joints of an animation.
 const JOINTS_MAX: usize = 1_000;
 
-/// A keyframe of the file, with its goals and times.
+/// A keyframe of the file: the goals of joints, and the time for which the joints hold them.
 struct Pose {
     /// The time at which the joints reach the goals.
     at: Span,
@@ -25,7 +25,7 @@ struct Pose {
     goals: Vec<(String, f64)>,
 }
 
-/// Reads one file: one robot in one scene.
+/// Reads one file, which contains the motion of one robot in one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let poses = tree::read(source, sink, |root, findings, _| read_poses(root, findings)).unwrap_or_default();
     let joints: HashSet<&str> =
@@ -50,7 +50,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
 struct Tracks {
     devices: Vec<DeviceMotion>,
     by_joint: HashMap<String, usize>,
-    /// For each joint, the time until which its last value is held, if later poses leave the joint out.
+    /// For each joint, the time until which it holds its last value if later poses do not contain the joint.
     held_until: Vec<Span>,
     held: usize,
     left_out: BTreeSet<String>,
@@ -93,7 +93,7 @@ impl Tracks {
         device
     }
 
-    /// Repeats the last value, so that the device does not start moving to the next value too early.
+    /// Repeats the device's last value at `until`, so that the device does not start moving to the next value before that time.
     fn hold(&mut self, device: usize, until: Span) {
         let keyframes = &mut self.devices[device].keyframes;
         if let Some(last) = keyframes.last().copied().filter(|last| last.at < until) {

@@ -22,12 +22,12 @@ const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation",
 #[derive(Clone, Copy)]
 struct Words<'a> {
     text: &'a str,
-    /// Byte offset after the last word.
+    /// Byte offset of the end of the word that was read last.
     at: usize,
-    /// The number of the current line, counted from 1; `line_start` is its byte offset.
+    /// The number of the current line, counted from 1; `line_start` is the line's byte offset.
     line: usize,
     line_start: usize,
-    /// The byte offset of the last word; `width` is its width.
+    /// Byte offset of the word that was read last; `width` is the word's length in bytes.
     start: usize,
     width: usize,
 }
@@ -48,7 +48,7 @@ impl<'a> Words<'a> {
         (width > 0).then(|| &rest[..width])
     }
 
-    /// Reads the rest of the line, because names may contain spaces.
+    /// Reads the rest of the line as one name, because names may contain spaces.
     fn rest(&mut self) -> &'a str {
         let rest = self.text[self.at..].lines().next().unwrap_or("");
         self.at += rest.len();
@@ -62,10 +62,10 @@ impl<'a> Words<'a> {
     }
 }
 
-/// An error: the code, the message, the expected value.
+/// An error: its code, its message, and the expected value.
 type Wrong = (Code, String, String);
 
-/// Reads one file: one robot in one scene.
+/// Reads one file, which contains the motion of one robot in one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let mut words = Words::new(&source.text);
     match read_file(&mut words, sink) {
@@ -116,7 +116,7 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     Ok((devices, period_s))
 }
 
-/// Reads all frames, and returns the number of frames that the file contains.
+/// Reads all frames. Returns the number of frames that the file contains.
 fn read_frames(
     words: &mut Words<'_>,
     frames: f64,

@@ -10,22 +10,22 @@ use super::sink::Sink;
 use super::table::Row;
 use super::units::name_and_unit;
 
-/// Maximum number of columns that a note names.
+/// Maximum number of columns that one note lists by name.
 const NAMED_MAX: usize = 12;
 
 /// The header of a table, or its first line of values if it has no header.
 pub(super) struct Header<'a> {
     pub(super) row: Row<'a>,
-    /// Whether the line names the columns; otherwise it is already a line of values.
+    /// Whether the line contains the names of the columns. If not, it is already a line of values.
     pub(super) named: bool,
     pub(super) width: usize,
-    /// By name, with and without its unit, the indices of the columns that have it.
+    /// For each column name, with and without its unit, the indices of the columns with that name.
     by_name: HashMap<String, Vec<usize>>,
 }
 
-/// A target and the columns that move it.
+/// A device that the user has selected as a target, and the columns that move it.
 pub(super) struct Chosen {
-    /// The target as written by the user, with the star replaced by its match.
+    /// The target (`device` or `robot/device`) as written by the user. A `*` is replaced by the text that it matched.
     pub(super) target: String,
     pub(super) indices: Vec<usize>,
 }
@@ -66,7 +66,7 @@ impl<'a> Header<'a> {
         self.row.cells.iter().map(|cell| cell.text.as_ref())
     }
 
-    /// The index of a column, given by its name, with or without its unit, or by its number from 1.
+    /// Returns the index of a column that is given by its name, with or without its unit, or by its number, counted from 1.
     pub(super) fn index(&self, column: &str, source: &Source, sink: &mut Sink) -> Option<usize> {
         let found = self.by_name.get(column).map_or(&[][..], Vec::as_slice);
         let number = column.parse::<usize>().ok().filter(|number| (1..=self.width).contains(number));
@@ -98,7 +98,8 @@ impl<'a> Header<'a> {
         sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
     }
 
-    /// The devices and columns of one option `--map`. A star yields one device per match; columns in `taken` do not match.
+    /// Returns the devices and columns of one `--map` option. A `*` yields one device for each text that it matches; it does not match
+    /// columns in `taken`.
     pub(super) fn choose(
         &self,
         target: &str,
@@ -135,7 +136,7 @@ impl<'a> Header<'a> {
         columns.split(',').map(|column| self.index(column.trim(), source, sink)).collect()
     }
 
-    /// The texts that the star in a pattern matches, in the order of the columns.
+    /// Returns the texts that the `*` in a pattern matches, in the order of the columns.
     fn stars(&self, columns: &str, taken: &HashSet<usize>) -> Vec<String> {
         let pattern = columns.split(',').map(str::trim).find(|column| column.contains('*'));
         let Some((before, behind)) = pattern.and_then(|pattern| pattern.split_once('*')) else {
@@ -153,7 +154,7 @@ impl<'a> Header<'a> {
         stars
     }
 
-    /// Notes the columns that are not mapped.
+    /// Adds a note that lists the columns that are not mapped to a device.
     pub(super) fn note_unused(&self, used: &HashSet<usize>, source: &Source, sink: &mut Sink) {
         let unused: Vec<usize> = (0..self.width).filter(|index| !used.contains(index)).collect();
         if unused.is_empty() {

@@ -18,10 +18,10 @@ use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
 const PIECES_MAX: usize = 31;
 /// Number of decimal digits of sampled values, so their rounding error is at most 5e-8.
 const DIGITS: i32 = 7;
-/// Smallest jump between two pieces that is noted, in the unit of the axis.
+/// Smallest jump between two pieces that is reported in a note, in the unit of the axis.
 const JUMP_MIN: f64 = 1e-3;
 
-/// Reads one file: one robot in one scene.
+/// Reads one file, which contains the motion of one robot in one scene.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let before = sink.findings.len();
     let pieces = read_pieces(source, options.pieces_max.unwrap_or(PIECES_MAX), sink);
@@ -59,7 +59,8 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-/// The keyframe at a rounded time. It has the value at that time, so that rounding the time does not change the motion.
+/// Returns the keyframe at the rounded time `at`. Its value is the trajectory's value at that rounded time, so that the rounding does not
+/// change the motion.
 fn sample(trajectory: &Trajectory, axis: usize, at: Span) -> Keyframe {
     let value = trajectory.value(axis, keyframes::seconds(at));
     Keyframe { at, value: keyframes::rounded(value, DIGITS) }
@@ -155,7 +156,8 @@ fn read_piece(row: &Row<'_>, names: &[String], source: &Source, sink: &mut Sink)
     None
 }
 
-/// The end of a piece, in seconds. Adds a finding if the start and the end of the piece are at the same nanosecond.
+/// Returns the end of a piece, in seconds. Adds a finding if the piece starts and ends at the same nanosecond, or if the trajectory
+/// becomes too long.
 fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: &mut Sink) -> f64 {
     let end_s = start_s + piece.duration_s;
     match (keyframes::span(start_s), keyframes::span(end_s)) {

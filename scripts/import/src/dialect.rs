@@ -7,7 +7,8 @@ use downbeat_yaml::source::Source;
 
 use super::table::{Row, is_row, rows};
 
-/// Number of lines in which a table after a title is searched, and number of rows with equally many cells that prove a table.
+/// Number of lines that are searched for a table after a title, and number of consecutive rows with equally many cells that count as a
+/// table.
 const TITLE_LINES_MAX: usize = 20;
 const ROWS_AGREEING: usize = 3;
 
@@ -32,19 +33,20 @@ impl FromStr for Decimal {
     }
 }
 
-/// The notation of a table of text.
+/// The notation of a table in a text file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dialect {
     /// The separator of cells. A space stands for any sequence of blanks.
     pub(super) separator: char,
     /// Number of lines before the table.
     pub(super) skipped: usize,
-    /// The decimal mark. `None` if only numbers without commas are read.
+    /// The decimal mark of numbers. `None` if numbers with commas are invalid.
     pub(super) decimal: Option<Decimal>,
 }
 
 impl Dialect {
-    /// The dialect that the user states, or else the one detected from the text.
+    /// Detects the dialect of a table that follows `skipped` lines. If the user specifies `decimal`, it takes precedence over the
+    /// detected decimal mark.
     pub fn of(source: &Source, skipped: usize, decimal: Option<Decimal>) -> Self {
         let (separator, skipped) = stated_separator(source, skipped)
             .unwrap_or_else(|| (separator_of(source.text.lines().skip(skipped)), skipped));
@@ -53,7 +55,8 @@ impl Dialect {
     }
 }
 
-/// Parses `sep=;` in the first line, which tells Excel the separator.
+/// Parses a first line such as `sep=;`, which specifies the separator for Excel. Returns the separator and the number of lines before the
+/// table.
 fn stated_separator(source: &Source, skipped: usize) -> Option<(char, usize)> {
     let first = source.text.lines().nth(skipped)?.trim_matches(|c| c == '"' || c == '\r');
     let (key, separator) = first.split_at_checked("sep=".len())?;
@@ -62,7 +65,8 @@ fn stated_separator(source: &Source, skipped: usize) -> Option<(char, usize)> {
     (key.eq_ignore_ascii_case("sep=") && rest.is_none()).then_some((separator, skipped + 1))
 }
 
-/// The most frequent of comma, semicolon and tab in the first line; a space, for blanks, if the line contains none of them.
+/// Returns the most frequent of comma, semicolon and tab in the first line. If the line contains none of them but contains blanks,
+/// returns a space.
 fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     let first = lines.find(|line| is_row(line)).unwrap_or("");
     let count = |separator: char| first.chars().filter(|c| *c == separator).count();
@@ -73,7 +77,7 @@ fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     if is_blank { ' ' } else { most }
 }
 
-/// The decimal mark of all unambiguous numbers in a table, if it is the same for all.
+/// Returns the decimal mark of all unambiguous numbers in a table. `None` if their marks differ, or if no number is unambiguous.
 fn decimal_of(source: &Source, dialect: Dialect) -> Option<Decimal> {
     // If commas separate cells, only quoted cells can contain any.
     let may_differ =
@@ -93,7 +97,7 @@ fn decimal_of(source: &Source, dialect: Dialect) -> Option<Decimal> {
     shown
 }
 
-/// The decimal mark of a number, if it is unambiguous: `1,500` is not.
+/// Returns the decimal mark of a number. `None` if the number has no mark, or if the mark is ambiguous, as in `1,500`.
 fn mark_of(text: &str) -> Option<Decimal> {
     if !text.contains([',', '.']) {
         return None;
@@ -106,7 +110,8 @@ fn mark_of(text: &str) -> Option<Decimal> {
     }
 }
 
-/// Rewrites a number with a decimal point and without thousands separators. `None` if it contains other commas or points.
+/// Rewrites a number with a decimal point and without thousands separators. `None` if its commas or points do not fit the decimal mark
+/// `decimal`.
 pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>> {
     let (mark, group) = match decimal {
         None => return (!text.contains(',')).then_some(Cow::Borrowed(text)),
@@ -128,8 +133,8 @@ pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>
     Some(Cow::Owned(format!("{}{point}{fraction}", whole.replace(group, ""))))
 }
 
-/// Detects a table that begins after a title. Returns the number of lines before the table, and its number of cells per row. The table
-/// begins at a row with more cells than the first line, followed by rows of values with the same number of cells.
+/// Detects a table that begins after a title. Returns the number of lines before the table, and the table's number of cells per row. The
+/// table begins at a row with more cells than the first line, followed by rows of values with as many cells.
 pub(super) fn table_behind_title(source: &Source, dialect: Dialect) -> Option<(usize, usize)> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let lines: Vec<(usize, &str)> = lines.take(TITLE_LINES_MAX).collect();

@@ -1,5 +1,5 @@
 //! Writes the fleet for an imported scenario: its robots, and initialization blocks derived from the range of the data. The user must
-//! replace these by blocks with the actual limits of the robots.
+//! replace these blocks with the actual descriptions of the robots, including their limits.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use super::{Clearance, Course, DeviceMotion, Imported, Piece, bernstein, keyfram
 
 /// Minimum number of steps that a generated block declares.
 const STEPS_MIN: usize = 2;
-/// Factor between the tolerance and a curve's bend times the squared length of a chord: 8 from the chord error, times the half of the
-/// tolerance that the grid leaves, minus a safety margin.
+/// Upper limit of b l^2 / tolerance for a chord of duration l on a curve with the second derivative b. The error of the chord, b l^2 / 8,
+/// may use half of the tolerance, because rounding to the grid uses the other half. This gives a limit of 4, reduced by a safety margin.
 const CHORDS: f64 = 3.5;
-/// Maximum number of steps that are counted per piece.
+/// Maximum number of steps that a polynomial piece is assumed to need.
 const STEPS_PIECE_MAX: f64 = 1e6;
 
 /// A file to be written by the caller.
@@ -26,7 +26,8 @@ pub struct FilePart {
     pub text: String,
 }
 
-/// The files of an import: the scenario, the fleet and the initialization blocks. If `init` is given, its text is used as the block.
+/// Returns the files of an import: the scenario, the fleet and the initialization blocks. If `init` is given, its text is used as the
+/// initialization block.
 #[must_use]
 pub fn files_of(
     imported: &Imported,
@@ -52,7 +53,7 @@ pub fn files_of(
     files
 }
 
-/// A kind of robots, which all have the same devices.
+/// A kind of robot. All robots of a kind have the same devices.
 struct Kind {
     name: String,
     devices: Vec<String>,
@@ -119,18 +120,18 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     text
 }
 
-/// The combined requirements of all robots for the devices with one name.
+/// The requirements for the devices with a given name, combined over all robots.
 pub(super) struct Asked<'a> {
     name: &'a str,
     unit: &'a str,
-    /// The course of the device in the first robot's first scene.
+    /// How the value of the device changes between keyframes, in the first robot's first scene.
     course: &'a Course,
     pub(super) grid: Grid,
     /// The largest number of steps that one robot needs in all scenes together.
     steps: usize,
 }
 
-/// The requirements for each device name, in the order of the import.
+/// Returns the requirements for each device name, in the order in which the names first occur in the import.
 pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
     let mut order: Vec<&str> = Vec::new();
     let mut motions: BTreeMap<&str, Vec<(&str, &DeviceMotion)>> = BTreeMap::new();
@@ -159,8 +160,8 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
     Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
 }
 
-/// A number of steps that is sufficient for a motion within the tolerance. The chord error of a curve is an eighth of its bend times the
-/// squared length of the chord. Half of the tolerance is reserved for the grid.
+/// Returns a number of steps that is sufficient to follow a motion within the tolerance. The error of a chord is an eighth of the curve's
+/// second derivative times the squared duration of the chord. Half of the tolerance is reserved for rounding to the grid.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is clamped")]
 fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
     let Course::Pieces(pieces) = &motion.course else { return motion.keyframes.len() };

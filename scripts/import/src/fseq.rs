@@ -32,7 +32,7 @@ struct Header {
 }
 
 impl Header {
-    /// The start of a frame; frames are counted from 0.
+    /// Returns the start time of a frame. Frames are counted from 0.
     fn begin(&self, frame: usize) -> Span {
         Span::from_millis(i64::try_from(frame).unwrap_or(i64::MAX).saturating_mul(self.step_ms))
     }
@@ -45,7 +45,7 @@ enum Packed {
     Zlib,
 }
 
-/// A device, with the indices of its bytes in a frame.
+/// A device to which channels are mapped, with the indices of its bytes in each frame.
 struct Mapped {
     robot: String,
     motion: DeviceMotion,
@@ -53,7 +53,7 @@ struct Mapped {
     last: Vec<u8>,
 }
 
-/// Reads one file: all mapped robots in one scene.
+/// Reads one file, which contains the motions of all mapped robots in one scene.
 pub(super) fn read(
     input: &Input,
     name: &str,
@@ -148,7 +148,7 @@ fn check(header: &Header) -> Result<(), String> {
     Ok(())
 }
 
-/// The two-letter names of the file's variable headers.
+/// Returns the two-letter names of the file's variable headers.
 fn variables(bytes: &[u8], mut at: usize, end: usize) -> Vec<String> {
     let mut names = Vec::new();
     while at + 4 <= end.min(bytes.len()) && names.len() < 100 {
@@ -215,7 +215,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     Ok((0..(last - first + 1) / width).map(device).collect())
 }
 
-/// The index in a frame of the byte of a channel; channels are counted from 1.
+/// Returns the index of the byte that a channel has in each frame. Channels are counted from 1.
 fn place(header: &Header, channel: usize) -> Result<usize, String> {
     let mut before = 0;
     for (first, count) in &header.ranges {
@@ -337,7 +337,7 @@ impl Frames<'_> {
 }
 
 impl Mapped {
-    /// Adds a keyframe if the values have changed since the last one.
+    /// Adds a keyframe if the values have changed since the last keyframe.
     fn add(&mut self, at: Span, frame: &[u8]) {
         let same = self.last.len() == self.places.len()
             && self.places.iter().zip(&self.last).all(|(place, value)| frame[*place] == *value);
@@ -348,7 +348,7 @@ impl Mapped {
         }
     }
 
-    /// Adds a last keyframe, with the latest values.
+    /// Adds a keyframe with the latest values, even if they have not changed.
     fn end(&mut self, at: Span) {
         let values: Vec<f64> = self.last.iter().copied().map(f64::from).collect();
         self.motion.keyframes.push(Keyframe { at, value: values[0] });

@@ -1,16 +1,16 @@
-//! The range and the grid of the values in imported files, for robots whose own limits are not known.
+//! Determines the range and the grid of the values in imported files, for robots whose own limits are not known.
 
-/// The step of common servos with 4096 steps per turn, in degrees.
+/// The step size of common servos, in degrees: they have 4096 steps per turn.
 const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;
-/// The fraction of values that must be on the grid of servo steps for that grid to be assumed.
+/// If at least this fraction of the values consists of multiples of the servo step, the device is assumed to be a servo.
 const SERVO_SHARE: f64 = 0.9;
 /// Minimum and maximum number of decimal digits of a grid.
 const DIGITS_MIN: i32 = 3;
 const DIGITS_MAX: i32 = 9;
-/// Largest rounding error of a value on a grid, in steps.
+/// Largest deviation from a grid, in steps, that counts as a rounding error.
 const TOLERANCE: f64 = 1e-6;
 
-/// The range of a device's values, and the grid that they have in common.
+/// The range of a device's values, and the grid (the step size) that they have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
     pub(super) min: f64,
@@ -20,7 +20,7 @@ pub(super) struct Grid {
     pub(super) complete: bool,
 }
 
-/// The range of the values, rounded outward, and the coarsest grid that contains them.
+/// Returns the range of the values, rounded outward, and the coarsest grid that contains them.
 pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -36,7 +36,7 @@ pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     Grid { min, max, granularity, complete: decimal.is_some() }
 }
 
-/// The range of curves, and a grid that is fine enough for their unit.
+/// Returns the range of curves, rounded outward, and a grid that is fine enough for their unit.
 pub(super) fn of_curves(bounds: &[f64], unit: &str) -> Grid {
     let least = bounds.iter().copied().fold(f64::INFINITY, f64::min);
     let most = bounds.iter().copied().fold(f64::NEG_INFINITY, f64::max);

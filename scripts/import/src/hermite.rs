@@ -1,4 +1,4 @@
-//! The cubic through two points with given slopes. The joint trajectory controller of ROS follows such curves.
+//! Cubic curves through two points with given slopes. The joint trajectory controller of ROS follows such curves.
 
 /// A point of a curve.
 #[derive(Clone, Copy, Debug)]
@@ -9,8 +9,8 @@ pub(super) struct Point {
     pub(super) slope: f64,
 }
 
-/// The value at a time of the curve through all points. Before the first and after the last point, it is constant. `None` if there are no
-/// points.
+/// Returns the value, at the time `at_s`, of the curve through all points. The value is constant before the first point and after the
+/// last one. `None` if there are no points.
 pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.at_s <= at_s);
     match (next.checked_sub(1).map(|index| points[index]), points.get(next)) {
@@ -20,7 +20,7 @@ pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
     }
 }
 
-/// The coefficients of the cubic between two points, for powers of the time in seconds since the first point.
+/// Returns the coefficients of the cubic between two points. They apply to powers of the time in seconds since the first point.
 pub(super) fn coefficients(from: Point, to: Point) -> Vec<f64> {
     let length = to.at_s - from.at_s;
     let mean = (to.value - from.value) / length;

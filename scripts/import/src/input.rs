@@ -21,7 +21,7 @@ pub(super) struct Input {
     pub(super) scene: String,
 }
 
-/// Finds all files that the arguments denote, with their robots and scenes.
+/// Finds all files that the arguments denote. Returns each file with its robot and its scene.
 pub(super) fn gather(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -41,7 +41,7 @@ pub(super) fn gather(
     inputs
 }
 
-/// The name of a file or folder, without its extension.
+/// Returns the name of a file or folder, without its extension.
 pub(super) fn stem(path: &Path) -> String {
     let absolute = path.file_stem().map(|_| path.to_path_buf()).or_else(|| path.canonicalize().ok());
     let stem = absolute.as_deref().and_then(Path::file_stem).map(|stem| stem.to_string_lossy().into_owned());
@@ -52,8 +52,8 @@ fn name_of(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// The inputs of a Crazyswarm import. A file is a robot. A folder is also a robot, and its files are scenes. A single folder is a folder
-/// of robots if its files are not named by numbers, or if it only contains folders.
+/// Returns the inputs of a Crazyswarm import. A file is a robot. A folder is a robot, too, and its files are the robot's scenes. However,
+/// a folder that only contains folders is a set of robots. So is a single folder whose files are not named by numbers.
 fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
     let mut robots: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for path in paths {
@@ -103,7 +103,7 @@ fn note_sorted(robots: &[(PathBuf, Vec<PathBuf>)], sink: &mut Sink) {
     }
 }
 
-/// The drone of a file: Crazyswarm names the files of drone 1 `1` or `pp1`.
+/// Returns the name of the drone that a file belongs to. Crazyswarm names the files of drone 1 `1` or `pp1`.
 pub(super) fn drone_name(stem: &str) -> String {
     match stem.strip_prefix("pp").unwrap_or(stem) {
         number if is_number(number) => format!("cf{number}"),
@@ -115,8 +115,8 @@ fn scene_name(stem: &str) -> String {
     if is_number(stem) { format!("scene {stem}") } else { stem.to_owned() }
 }
 
-/// The inputs of all other formats. Files are scenes of the same robots. If the user gives as many robot names as files, each file is a
-/// separate robot.
+/// Returns the inputs of an import in a format other than Crazyswarm. The files are scenes of the same robots. If the user specifies as
+/// many robot names as files, each file is a separate robot instead.
 fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sink: &mut Sink) -> Vec<Input> {
     let extensions = format.facts().ends;
     let mut files = Vec::new();
@@ -157,8 +157,8 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
     inputs.collect()
 }
 
-/// One robot per file, with the name of the file. If files have equal names, their folders distinguish them. If each folder has one file,
-/// the folder names the robot; otherwise each folder is a scene.
+/// Returns one robot per file, named after the file. If files have equal names and each file has its own folder, robots are named after
+/// the folders. If several files share a folder, each folder becomes a scene instead.
 fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
     let folders = folder_names(&files);
@@ -178,7 +178,8 @@ fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     inputs
 }
 
-/// A scene name for each file: the file name. If these are not distinct, the names of the folders are used or added.
+/// Returns a scene name for each file: the file name. If the file names are not distinct, returns the folder names; if these are not
+/// distinct either, returns both together.
 fn scene_names(files: &[PathBuf]) -> Vec<String> {
     let stems: Vec<String> = files.iter().map(|file| stem(file)).collect();
     let folders = folder_names(files);
@@ -191,7 +192,7 @@ fn scene_names(files: &[PathBuf]) -> Vec<String> {
     }
 }
 
-/// For each file, the name of its folder, or the folder's whole path if two folders have the same name.
+/// Returns the name of each file's folder. If two folders have the same name, returns the whole paths of the folders.
 fn folder_names(files: &[PathBuf]) -> Vec<String> {
     let of = |file: &PathBuf| file.parent().map(Path::to_path_buf).unwrap_or_default();
     let name = |folder: &PathBuf| {
@@ -210,12 +211,13 @@ fn are_distinct(names: impl Iterator<Item = String>) -> bool {
     names.into_iter().all(|name| seen.insert(name))
 }
 
-/// Whether each file moves a separate robot: no `--map` names a robot.
+/// Whether each file moves a separate robot, because there are `--map` options but none of them names a robot.
 fn robot_a_file(options: &ImportOptions) -> bool {
     !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
 
-/// The files of a folder that have one of the extensions, and its subfolders; both in natural order.
+/// Returns the files of a folder that have one of the extensions, and the folder's subfolders. Both are in natural order: `2` comes
+/// before `10`.
 fn listed(folder: &Path, extensions: &[&str], sink: &mut Sink) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

@@ -1,4 +1,5 @@
-//! Recordings of ROS in MCAP: the positions of all topics of type `sensor_msgs/JointState`, in CDR (ROS 2) or in the encoding of ROS 1.
+//! Reads recordings of ROS in the format MCAP: the positions of all topics of type `sensor_msgs/JointState`, in CDR (ROS 2) or in the
+//! encoding of ROS 1.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Read;
@@ -55,7 +56,7 @@ struct Recording {
     more: bool,
 }
 
-/// Reads one file: one robot per topic, in one scene.
+/// Reads one file, which contains one robot per topic, in one scene.
 pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
     let mut recording = Recording { left: ALL_BYTES_MAX, ..Recording::default() };
     if let Err(message) = recording.read(bytes, sink) {
@@ -200,7 +201,7 @@ impl Recording {
     }
 }
 
-/// A reader of a compressed chunk.
+/// Returns a reader that unpacks a compressed chunk.
 fn zstd(data: &[u8]) -> Result<impl Read, String> {
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(data, WINDOW_MAX);
     decoder.map_err(|error| format!("a chunk cannot be unpacked: {error}"))
@@ -308,7 +309,7 @@ impl Topic {
 
 /// The parts of a message that the import uses.
 struct JointState {
-    /// The time stamp in nanoseconds; 0 if it is not set.
+    /// The timestamp in nanoseconds; 0 if the message has none.
     stamp: u64,
     names: Vec<String>,
     positions: Vec<f64>,

@@ -22,11 +22,11 @@ struct JointPoint {
     at: Span,
     positions: Vec<f64>,
     velocities: Option<Vec<f64>>,
-    /// Whether the point has accelerations or efforts.
+    /// Whether the point has accelerations or efforts, which the import ignores.
     has_more: bool,
 }
 
-/// How the course between two points is converted.
+/// How the motion between two points is converted.
 #[derive(Clone, Copy, PartialEq)]
 enum Between {
     Straight,
@@ -49,7 +49,7 @@ fn are_curved(points: &[JointPoint]) -> bool {
     !points.is_empty() && points.iter().all(|point| point.velocities.is_some())
 }
 
-/// Reads one file: one robot, and one scene per message. `ros2 topic echo` ends each message with `---`.
+/// Reads one file, which contains one robot, and one scene per message. `ros2 topic echo` ends each message with `---`.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let messages = messages(source);
     let several = messages.len() > 1;
@@ -73,7 +73,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions
 }
 
-/// Splits a text into its documents, each with the number of lines before it.
+/// Splits a text into its YAML documents. Returns each document with the number of lines before it.
 fn messages(source: &Source) -> Vec<(usize, Source)> {
     let of = |text: String| Source { name: source.name.clone(), text };
     let mut messages = vec![(0, String::new())];
@@ -125,7 +125,7 @@ fn read_message(input: &Input, source: &Source, options: &ImportOptions, sink: &
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-/// The cubics through the positions and velocities of a joint.
+/// Returns the cubic curves through the positions of a joint, with the joint's velocities as slopes.
 fn pieces(points: &[JointPoint], joint: usize) -> Vec<Piece> {
     let at = |point: &JointPoint| Point {
         at_s: keyframes::seconds(point.at),
@@ -177,7 +177,7 @@ fn times(
     keyframes::sampled_times(last_s, rate)
 }
 
-/// Samples of a joint's course from the first point on. Before that point, the robot moves to it.
+/// Returns samples of a joint's curve, beginning at the first point. Before the time of that point, the robot moves to it.
 fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
     let point = |p: &JointPoint| {
         let slope = p.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]);

@@ -9,10 +9,10 @@ use downbeat_yaml::finding::Code;
 
 use super::Keyframe;
 
-/// Maximum time that is read, in seconds: more than 100 days, within the limits of the protocol.
+/// Maximum time that an import accepts, in seconds: more than 100 days, within the limits of the protocol.
 pub(super) const SECONDS_MAX: f64 = 1e7;
 
-/// Converts seconds to the nearest nanosecond; `None` if they are negative or too large.
+/// Converts seconds to the nearest nanosecond. `None` if the number of seconds is negative or above [`SECONDS_MAX`].
 #[expect(clippy::cast_possible_truncation, reason = "the range is checked before")]
 pub(super) fn span(seconds: f64) -> Option<Span> {
     (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
@@ -26,12 +26,12 @@ pub(super) fn is_date(at: Span) -> bool {
     DATES_S.contains(&seconds(at))
 }
 
-/// Converts a time to seconds, for notes and curves.
+/// Converts a time to seconds, for use in notes and curves.
 pub(super) fn seconds(span: Span) -> f64 {
     span.as_nanos() as f64 / 1e9
 }
 
-/// All multiples of the sampling period up to a duration, and the duration itself.
+/// Returns all multiples of the sampling period before the end of a duration, and that end itself.
 pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<Span> {
     let Some(end) = span(duration_s) else { return Vec::new() };
     let second = Exact::from(Span::from_millis(1_000));
@@ -65,7 +65,8 @@ pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
     jumps
 }
 
-/// Describes the fault of a time that is not later than `before`, the previous time of the device: the code, a sentence and a hint.
+/// Describes the fault of a time that is not later than `before`, the previous time of the device. Returns a code, a sentence and a hint;
+/// `None` if the time is later.
 pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'static str)> {
     let [before_s, at_s] = [before, at].map(seconds);
     match at.cmp(&before) {

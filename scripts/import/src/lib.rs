@@ -1,5 +1,5 @@
-//! Imports choreography files of other tools. Each format has a reader that returns an [`Imported`], and one writer converts it to a
-//! readable scenario with its fleet. `docs/import.md` describes the rules of each format. The caller writes the files.
+//! Imports choreography files of other tools. Each format has a reader that returns an [`Imported`]. A single writer converts an
+//! [`Imported`] to a readable scenario with its fleet. `docs/import.md` describes the rules of each format. The caller writes the files.
 
 mod archive;
 mod assemble;
@@ -66,22 +66,22 @@ const KEYFRAMES_MAX: usize = 2_000_000;
 /// The options of an import that the user may set.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOptions {
-    /// Samples per second for curves, from 0.001 to 1000. If it is `None`, the boundaries of pieces or the points are used. For a CSV
-    /// whose times are frame numbers or timecodes, this is the number of frames per second.
+    /// Number of samples per second for curves, from 0.001 to 1000. If it is `None`, curves are not sampled: the boundaries of their
+    /// pieces, or their points, are used. For a CSV whose times are frame numbers or timecodes, this is the number of frames per second.
     pub rate_hz: Option<f64>,
     /// Maximum number of polynomial pieces that a robot can hold; `None` for the default.
     pub pieces_max: Option<usize>,
     /// The name of the scenario; `None` to derive it from the files.
     pub name: Option<String>,
-    /// Names for the robots, in the order in which they occur; empty to keep their names.
+    /// New names for the robots, in the order in which the robots occur. Empty to keep their names.
     pub robots: Vec<String>,
-    /// The kind of robot, which names the initialization block; `None` for the format's default.
+    /// The kind of robot, after which the initialization block is named. `None` for the format's default.
     pub kind: Option<String>,
-    /// The names of the scenes to import; if empty, all scenes.
+    /// The names of the scenes to import; empty to import all scenes.
     pub only: Vec<String>,
-    /// Factors for the values of devices: the device, as `device` or `robot/device`, and its factor.
+    /// Devices, as `device` or `robot/device`, each with the factor by which its values are multiplied.
     pub scales: Vec<(String, f64)>,
-    /// The column of times in a CSV, by name or by number from 1.
+    /// The column of times in a CSV, by name or by number, counted from 1.
     pub time_column: Option<String>,
     /// The unit of the times in a CSV. `None` if its header states the unit.
     pub time_unit: Option<TimeUnit>,
@@ -89,14 +89,14 @@ pub struct ImportOptions {
     pub skip: usize,
     /// The decimal mark of a CSV. `None` to detect it from the numbers.
     pub decimal: Option<Decimal>,
-    /// Targets `robot/device` (or `device`, if each file is one robot) with their columns; commas separate several columns. A `*` in both
-    /// stands for the part that differs.
+    /// Devices, as `robot/device` (or `device`, if each file is one robot), each with its columns, separated by commas. A `*` in both the
+    /// device and the columns stands for the part of the names that varies.
     pub columns: Vec<(String, String)>,
-    /// Devices of a CSV that hold each value until the next value, as `device` or `robot/device`.
+    /// Devices of a CSV, as `device` or `robot/device`, that hold each value until the next value.
     pub holds: Vec<String>,
     /// Devices, as `device` or `robot/device`, with the period after which their values wrap around, such as 360.
     pub unwraps: Vec<(String, f64)>,
-    /// The time of the first value of each scene. `None` to use the time in the file.
+    /// The time of the first value of each scene. `None` to keep the time in the file.
     pub start: Option<Span>,
     /// The initialization block of the robots that will play the scenario, if it is known.
     pub init: Option<InitializationBlock>,
@@ -109,7 +109,7 @@ pub struct Imported {
     pub name: String,
     /// A description of the imported files, for the comment at the top of the scenario.
     pub origin: String,
-    /// The kind of robot, which names the initialization block.
+    /// The kind of robot, after which the initialization block is named.
     pub kind: String,
     /// The scenes, in the order in which they are played.
     pub scenes: Vec<Scene>,
@@ -144,13 +144,14 @@ pub struct DeviceMotion {
     pub device: String,
     /// Unit of the values; empty if unknown.
     pub unit: String,
-    /// Keyframes with strictly increasing times. If the course consists of pieces, these are the keyframes at their boundaries.
+    /// Keyframes with strictly increasing times. If the course consists of polynomial pieces, there is a keyframe at each boundary of the
+    /// pieces.
     pub keyframes: Vec<Keyframe>,
-    /// The course between keyframes.
+    /// How the value changes between keyframes.
     pub course: Course,
 }
 
-/// The course of a device between its keyframes.
+/// How the value of a device changes between its keyframes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Course {
     /// Linear interpolation.
@@ -160,7 +161,7 @@ pub enum Course {
     Held,
     /// Like `Held`, but each keyframe has several values; the keyframe's own value is the first of them.
     Several(Vec<Vec<f64>>),
-    /// Consecutive polynomials, from the start of the scene on.
+    /// Consecutive polynomials. The first one begins at the start of the scene.
     Pieces(Vec<Piece>),
 }
 
@@ -183,13 +184,13 @@ pub struct Keyframe {
 }
 
 impl Imported {
-    /// All devices of all robots in all scenes.
+    /// Returns all devices of all robots in all scenes, each with its robot.
     pub fn devices(&self) -> impl Iterator<Item = (&RobotMotion, &DeviceMotion)> {
         let robots = self.scenes.iter().flat_map(|scene| &scene.robots);
         robots.flat_map(|robot| robot.devices.iter().map(move |device| (robot, device)))
     }
 
-    /// The distinct names of the robots, in order.
+    /// Returns the distinct names of the robots, in the order in which they first occur.
     #[must_use]
     pub fn robots(&self) -> Vec<&str> {
         let mut seen = std::collections::HashSet::new();
@@ -197,13 +198,13 @@ impl Imported {
         all.filter(|name| seen.insert(*name)).collect()
     }
 
-    /// The number of keyframes of all devices in all scenes.
+    /// Returns the number of keyframes of all devices in all scenes.
     #[must_use]
     pub fn steps(&self) -> usize {
         self.devices().map(|(_, device)| device.keyframes.len()).sum()
     }
 
-    /// The total length of all scenes.
+    /// Returns the total duration of all scenes.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.scenes.iter().map(Scene::duration).fold(Span::ZERO, Add::add)
@@ -211,7 +212,7 @@ impl Imported {
 }
 
 impl Scene {
-    /// The time of the last keyframe.
+    /// Returns the duration of the scene: the time at which its last motion ends.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.robots.iter().map(RobotMotion::duration).max().unwrap_or_default()
@@ -219,7 +220,7 @@ impl Scene {
 }
 
 impl RobotMotion {
-    /// The time of the last keyframe.
+    /// Returns the time at which the robot's motion ends, counted from the start of the scene.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.devices.iter().map(DeviceMotion::duration).max().unwrap_or_default()
@@ -227,7 +228,7 @@ impl RobotMotion {
 }
 
 impl DeviceMotion {
-    /// The time at which the motion ends.
+    /// Returns the time at which the motion ends, counted from the start of the scene.
     #[must_use]
     pub fn duration(&self) -> Span {
         match &self.course {
@@ -236,7 +237,7 @@ impl DeviceMotion {
         }
     }
 
-    /// Multiplies all values.
+    /// Multiplies all values of the motion by a factor.
     fn scale(&mut self, factor: f64) {
         self.keyframes.iter_mut().for_each(|keyframe| keyframe.value *= factor);
         match &mut self.course {
@@ -248,8 +249,8 @@ impl DeviceMotion {
         }
     }
 
-    /// Removes keyframes of held values that repeat the value before them, except for the last keyframe. Returns the number of removed
-    /// keyframes.
+    /// If the device holds its values, removes keyframes that repeat the previous value, except for the last keyframe. Returns the number
+    /// of removed keyframes.
     fn thin(&mut self) -> usize {
         let count = self.keyframes.len();
         let changes = |index: usize, same: bool| index == 0 || index + 1 == count || !same;
@@ -273,7 +274,7 @@ impl DeviceMotion {
         count - self.keyframes.len()
     }
 
-    /// All values of the motion; for polynomial pieces, bounds that contain the values.
+    /// Returns all values of the motion. For polynomial pieces, returns bounds that contain the values.
     fn values(&self) -> Vec<f64> {
         match &self.course {
             Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),
@@ -282,7 +283,7 @@ impl DeviceMotion {
         }
     }
 
-    /// The number of keyframes or pieces that are written to the scenario.
+    /// Returns the number of keyframes or polynomial pieces that are written to the scenario.
     fn written(&self) -> usize {
         match &self.course {
             Course::Pieces(pieces) => pieces.len(),
@@ -296,7 +297,7 @@ impl DeviceMotion {
 pub struct ImportOutcome {
     /// The imported choreography; `None` if there are errors.
     pub imported: Option<Imported>,
-    /// Notes about the rules that were applied.
+    /// Notes about the rules that the import applied.
     pub notes: Vec<String>,
     /// The errors in all files.
     pub findings: Vec<Finding>,
@@ -367,7 +368,7 @@ fn read(
     motions
 }
 
-/// The function that reads a file of a format.
+/// The function that reads the files of a format, as bytes or as text.
 enum Reader {
     Bytes(fn(&Input, &str, &[u8], &ImportOptions, &mut Sink) -> Vec<Motion>),
     Text(fn(&Input, &Source, &ImportOptions, &mut Sink) -> Vec<Motion>),
@@ -409,7 +410,7 @@ pub fn import_bytes(
     finish(format, &[path], motions, options, sink)
 }
 
-/// A hint for a file that is not of the expected format.
+/// Returns a hint for a file that is not in the expected format.
 fn other_format(format: ImportFormat, file: &str) -> String {
     match format_of(file).filter(|other| *other != format) {
         Some(other) => {

@@ -1,4 +1,4 @@
-//! Plays light programs of Skybrush: their bytes set colours, fade, wait and repeat, in frames of 20 ms.
+//! Plays light programs of Skybrush. Their bytes are commands that set colours, fade, wait and repeat, in frames of 20 ms.
 
 /// Duration of one frame, in milliseconds.
 const FRAME_MS: u64 = 20;
@@ -28,7 +28,7 @@ pub(super) struct Lights {
     pub(super) end_ms: u64,
     /// Number of commands for fireworks, which are ignored.
     pub(super) pyro: usize,
-    /// Whether the program would continue beyond the end of the show.
+    /// Whether the program contains an endless loop, which would continue beyond the end of the show.
     pub(super) endless: bool,
 }
 
@@ -42,7 +42,7 @@ struct Player<'a> {
     lights: Lights,
 }
 
-/// Plays a program until `until_ms`. Returns an error if the program is invalid.
+/// Plays a program to its end, or until `until_ms` if it contains an endless loop. Returns an error if the program is invalid.
 pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
     let mut player =
         Player { bytes, at: 0, loops: Vec::new(), now_ms: 0, color: [0; 3], lights: Lights::default() };
@@ -62,7 +62,7 @@ pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
 }
 
 impl Player<'_> {
-    /// Executes one command. Returns false at the end of the program.
+    /// Executes one command. Returns `false` at the end of the program.
     fn step(&mut self) -> Result<bool, String> {
         let begin = self.at;
         let Some(command) = self.bytes.get(self.at).copied() else { return Ok(false) };
@@ -166,7 +166,8 @@ fn told(at: usize, what: &str) -> String {
     format!("the light program {what} at byte {at}, which depends on the running show and is not supported")
 }
 
-/// The colours at each multiple of the period and at each change, with their times. The last colour is at the end of the program.
+/// Returns the colours, each with its time: at each change and, during a fade, at each multiple of the period. The last colour is at the
+/// end of the program.
 pub(super) fn sampled(lights: &Lights, period_ms: u64) -> Vec<(u64, Color)> {
     let mut samples: Vec<(u64, Color)> = vec![(0, [0; 3])];
     let mut add = |at_ms: u64, color: Color| match samples.last_mut() {

@@ -11,14 +11,14 @@ use super::sink::Sink;
 use super::standard_midi::{self, Event, Song, Timing};
 use super::{Course, DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
-/// Duration of a beat if the file has no tempo, in microseconds.
+/// Duration of a beat, in microseconds, if the file does not state a tempo.
 const BEAT_US: f64 = 500_000.0;
-/// Maximum number of notes about parts of a file that are not tracks.
+/// Maximum number of messages to the user about parts of a file that are not tracks.
 const PASSED_OVER_MAX: usize = 20;
 /// Maximum number of MIDI events of a file.
 const EVENTS_MAX: usize = 2_000_000;
 
-/// The kind of value that a message sets. The order is the one in which devices are written.
+/// The kind of value that a MIDI message sets. Devices are written in the order of these variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum What {
     Note(u8),
@@ -29,7 +29,7 @@ enum What {
     Program,
 }
 
-/// A value that a message sets on a channel at a tick.
+/// A value that a MIDI message sets on a channel at a tick.
 struct Set {
     tick: u64,
     channel: u8,
@@ -48,7 +48,7 @@ struct Read {
     other: usize,
 }
 
-/// Reads one file: one robot in one scene.
+/// Reads one file, which contains the motion of one robot in one scene.
 pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
     let (song, read) = match read_events(bytes) {
         Ok(read) => read,
@@ -108,7 +108,7 @@ impl Read {
     }
 }
 
-/// The kind of value that a channel message sets, and the value.
+/// Returns the kind of value that a MIDI channel message sets, and the value.
 fn what(status: u8, [first, second]: [u8; 2]) -> (What, f64) {
     let value = f64::from(second);
     match status {

@@ -1,4 +1,4 @@
-//! Times in tables: numbers in some unit, frames, timecodes, hours, minutes and seconds with colons, dates.
+//! Times in tables: numbers in some unit, frame numbers, timecodes, clock times such as `hh:mm:ss`, and dates.
 
 use std::str::FromStr;
 
@@ -28,7 +28,7 @@ pub enum TimeUnit {
     Date,
 }
 
-/// The units that a user may state, for messages.
+/// The units and notations that a user may specify, for error messages.
 pub(super) const UNITS: &str = "h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss or mm:ss:ms";
 
 const CLOCKS: [(&str, TimeUnit); 3] = [
@@ -37,10 +37,10 @@ const CLOCKS: [(&str, TimeUnit); 3] = [
     ("mm:ss:ms", TimeUnit::MinutesSecondsMillis),
 ];
 
-/// Units of Unix times with their names, in nanoseconds.
+/// Units of Unix times: the name of each, and its duration in nanoseconds.
 const UNIX: [(&str, u64); 4] = [("s", 1_000_000_000), ("ms", 1_000_000), ("us", 1_000), ("ns", 1)];
-/// Numbers are Unix times if they denote times between the years 2000 and 2100, and the first and the last differ by at most
-/// `UNIX_LENGTH_S`.
+/// The times that count as Unix times, in seconds since 1970: from the year 2000 to the year 2100. In a column of Unix times, the first
+/// and the last one differ by at most `UNIX_LENGTH_S`.
 const YEARS_S: std::ops::Range<i64> = 946_684_800..4_102_444_800;
 const UNIX_LENGTH_S: i64 = 10_000_000;
 /// Limits of numbers: the largest absolute exponent; the largest number, which exceeds all Unix times in nanoseconds; and the maximum
@@ -90,7 +90,8 @@ impl TimeUnit {
     }
 }
 
-/// Parses a number with or without sign and exponent. It is exact if it has few enough digits.
+/// Parses a number with an optional sign and exponent. The result is exact unless the number has too many digits or too large an
+/// exponent.
 fn number(text: &str) -> Option<Fraction> {
     let text = text.trim();
     let value = text.parse::<f64>().ok().filter(|value| value.abs() <= NUMBER_MAX)?;
@@ -108,7 +109,7 @@ fn number(text: &str) -> Option<Fraction> {
     Some(exact().unwrap_or_else(|| near_fraction(value)))
 }
 
-/// Parses a decimal number like [`decimal`], but with enough digits for Unix times in nanoseconds.
+/// Parses a decimal number like [`decimal`], but supports enough digits for Unix times in nanoseconds.
 fn long_decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -124,7 +125,7 @@ fn whole(text: &str) -> Option<Fraction> {
     decimal(text).filter(|_| !text.contains('.') && text.len() <= DIGITS_MAX)
 }
 
-/// Parses the seconds of a clock time, with or without decimals. More than two digits before the point are invalid, as in `033`.
+/// Parses the seconds of a clock time, with or without decimals. More than two digits before the decimal point, as in `033`, are invalid.
 fn second(text: &str) -> Option<Fraction> {
     let text = text.replace(',', ".");
     if text.split('.').next().is_some_and(|whole| whole.len() > 2) {
@@ -137,12 +138,12 @@ fn sixtieth(value: Fraction) -> Option<Fraction> {
     (value < Ratio::from_integer(60)).then_some(value)
 }
 
-/// A number of frames divided by the frame rate, rounded if the fraction is too long.
+/// Returns a number of frames divided by the frame rate. The result is rounded if the exact fraction does not fit its type.
 fn divided(frames: Fraction, rate: Fraction) -> Fraction {
     frames.checked_div(&rate).unwrap_or_else(|| near_fraction(to_f64(frames) / to_f64(rate)))
 }
 
-/// The exact frame rate in frames per second: 23.976, 29.97 and 59.94 mean 24, 30 and 60 times 1000/1001.
+/// Returns the exact frame rate in frames per second. For example, 23.976, 29.97 and 59.94 mean 24, 30 and 60 times 1000/1001.
 fn frame_rate(rate: f64) -> Fraction {
     let video = [24, 30, 48, 60, 120].into_iter().map(|whole| Ratio::new(whole * 1_000, 1_001));
     let near = |exact: &Fraction| (to_f64(*exact) - rate).abs() < 0.005;
@@ -214,7 +215,8 @@ fn days(text: &str) -> Option<i128> {
     Some(years + lengths[..before].iter().sum::<i128>() + day - 1)
 }
 
-/// The unit, with its name, in which the first and the last number of a column are Unix times. At most one unit qualifies.
+/// Finds the unit in which the first and the last number of a column are Unix times. Returns the unit with its name. At most one unit
+/// qualifies.
 pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> {
     UNIX.into_iter().map(|(word, nanos)| (word, TimeUnit::Nanos(nanos))).find(|(_, unit)| {
         let seconds = |text| unit.time(text).map(|time| time.as_nanos() / 1_000_000_000);
@@ -223,7 +225,7 @@ pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> 
     })
 }
 
-/// What the name of a column of times reveals about the unit.
+/// What the name of a column of times reveals about the unit of these times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Said {
     Unit(TimeUnit),
@@ -259,7 +261,7 @@ pub(super) fn said_by(header: &str) -> Said {
     }
 }
 
-/// The words of a text. A capital letter after a small letter also starts a word.
+/// Returns the words of a text. A capital letter after a small letter also starts a word.
 fn words(text: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut before = ' ';
@@ -277,7 +279,7 @@ fn words(text: &str) -> Vec<String> {
     words
 }
 
-/// The unit that a word denotes in one of the usual spellings.
+/// Returns the unit of time that a word denotes in one of the usual spellings.
 fn spelled(word: &str) -> Option<TimeUnit> {
     Some(TimeUnit::Nanos(match word.to_lowercase().trim_end_matches('.') {
         "h" | "hr" | "hrs" | "hour" | "hours" => 3_600_000_000_000,
@@ -292,7 +294,7 @@ fn spelled(word: &str) -> Option<TimeUnit> {
     }))
 }
 
-/// The notations of clock times that all the given texts match, with their names.
+/// Returns the notations of clock times that all given texts match, each with its name.
 pub(super) fn clocks<'a>(texts: impl Iterator<Item = &'a str>) -> Vec<(&'static str, TimeUnit)> {
     let mut fitting = CLOCKS.to_vec();
     for text in texts {

@@ -1,4 +1,5 @@
-//! Reads the motions of PAL Robotics' `play_motion2`: `joints`, flat `positions`, `times_from_start`. Each motion becomes a scene.
+//! Reads the motions of PAL Robotics' `play_motion2`, with the keys `joints`, `positions` (one flat list) and `times_from_start`. Each
+//! motion becomes a scene.
 
 use urrcp::Span;
 
@@ -11,7 +12,7 @@ use super::input::Input;
 use super::sink::Sink;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
 
-/// Reads one file: one robot, with one scene per motion.
+/// Reads one file, which contains one robot, and one scene per motion.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let motions =
         tree::read(source, sink, |root, findings, _| read_motions(root, findings)).unwrap_or_default();
@@ -129,7 +130,7 @@ fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<Span
     (times.len() == seconds.len()).then_some(times)
 }
 
-/// The unit of a joint: metres for joints that slide (TIAGo's torso and fingers), radians for joints that turn.
+/// Returns the unit of a joint: metres for joints that slide (TIAGo's torso and fingers), and radians for joints that turn.
 fn unit_of(joint: &str) -> &'static str {
     match joint {
         "torso_lift_joint" | "gripper_left_finger_joint" | "gripper_right_finger_joint" => "m",

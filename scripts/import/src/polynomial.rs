@@ -34,7 +34,7 @@ impl Trajectory {
         Self { pieces, bounds_s }
     }
 
-    /// The pieces of one axis, without the highest powers whose coefficients are 0.
+    /// Returns the pieces of one axis. Leaves out the highest powers of each piece if their coefficients are 0.
     pub(super) fn pieces_of(&self, axis: usize) -> Vec<super::Piece> {
         let piece = |piece: &Piece| {
             let own = &piece.coefficients[axis];
@@ -55,8 +55,8 @@ impl Trajectory {
         self.bounds_s.last().copied().unwrap_or(0.0)
     }
 
-    /// The value of an axis at a time; at a boundary, the value of the later piece. The value is constant before and after the
-    /// trajectory.
+    /// Returns the value of an axis at a time. At a boundary between pieces, returns the value of the later piece. The value is constant
+    /// before and after the trajectory.
     pub(super) fn value(&self, axis: usize, at_s: f64) -> f64 {
         let begun = self.bounds_s.partition_point(|bound| *bound <= at_s);
         let index = begun.saturating_sub(1).min(self.pieces.len().saturating_sub(1));
@@ -65,7 +65,7 @@ impl Trajectory {
         horner(&piece.coefficients[axis], local)
     }
 
-    /// The largest jump between two pieces, as the axis, the time and the size.
+    /// Returns the largest jump between two consecutive pieces: its axis, its time in seconds, and its size.
     pub(super) fn largest_jump(&self) -> Option<(usize, f64, f64)> {
         let jumps = self.pieces.windows(2).enumerate().flat_map(|(index, pair)| {
             (0..AXES.len()).map(move |axis| {

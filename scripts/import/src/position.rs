@@ -12,18 +12,18 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub struct Clearance {
     /// The distance in metres.
     pub metres: f64,
-    /// The origin of the distance, for readers of the fleet file.
+    /// What the distance is based on, as a text for readers of the fleet file.
     pub origin: &'static str,
 }
 
 impl Default for Clearance {
-    /// The default distance for Crazyflies, which are 0.14 m wide with their propellers.
+    /// Returns the default distance for Crazyflies, which are 0.14 m wide with their propellers.
     fn default() -> Self {
         Self { metres: 0.24, origin: "the distance between Crazyflies whose propellers are 0.1 m apart" }
     }
 }
 
-/// The robots that have all three axes `x`, `y` and `z`, each in a unit of length.
+/// Returns the robots that have all three axes `x`, `y` and `z`, each in a unit of length.
 pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
     let units = axes(imported);
     let is_length =
@@ -31,7 +31,7 @@ pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
     units.into_iter().filter(|(_, units)| is_length(units)).map(|(robot, _)| robot).collect()
 }
 
-/// Notes robots that are not compared with others, because their units are unknown.
+/// Adds a note about robots whose distances to others are not checked, because the units of their axes are unknown.
 pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
     let unknown: Vec<_> =
         axes(imported).into_iter().filter(|(_, units)| units.values().any(|unit| unit.is_empty())).collect();
@@ -44,7 +44,7 @@ pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
     }
 }
 
-/// The units of the axes, by robot and axis, for all robots that have all three axes.
+/// Returns the units of the axes `x`, `y` and `z`, by robot and axis, for all robots that have all three axes.
 fn axes(imported: &Imported) -> BTreeMap<&str, BTreeMap<&str, &str>> {
     let mut units: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     let is_axis = |device: &DeviceMotion| {

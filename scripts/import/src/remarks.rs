@@ -1,5 +1,5 @@
-//! Notes about valid but remarkable properties of an import: robots that rest, and scenes that do not continue where the previous scene
-//! ended.
+//! Adds notes about valid but remarkable properties of an import: for example, robots that do not move in a scene, and scenes that do not
+//! continue where the previous scene ended.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,12 +10,12 @@ use downbeat_yaml::finding::names;
 use super::sink::Sink;
 use super::{Course, Scene, keyframes, units};
 
-/// Largest gap between scenes that is not noted, because it results from rounding in the files.
+/// Largest difference between a device's values in two scenes for which there is no note, because it results from rounding in the files.
 const JOIN_TOLERANCE: f64 = 1e-9;
 /// If an angle changes by this fraction of a turn within `TURN_TIME`, it has wrapped around at an end of its range.
 const TURN_SHARE: f64 = 0.75;
 const TURN_TIME: Span = Span::from_millis(100);
-/// Maximum number of devices that a note about turns names.
+/// Maximum number of devices that the note about angles that wrap around lists by name.
 const TURNING_MAX: usize = 6;
 
 pub(super) fn note_absent(scenes: &[Scene], sink: &mut Sink) {
@@ -31,7 +31,7 @@ pub(super) fn note_absent(scenes: &[Scene], sink: &mut Sink) {
     }
 }
 
-/// Notes angles that jump by about one turn, with the option that removes these jumps.
+/// Adds a note about angles that jump by about one turn, with the option that removes these jumps.
 pub(super) fn note_turns(scenes: &[Scene], sink: &mut Sink) {
     let mut turning: Vec<(&str, f64)> = Vec::new();
     let (mut count, mut first) = (0_usize, Span::MAX);
@@ -81,7 +81,7 @@ pub(super) fn note_ends(scenes: &[Scene], sink: &mut Sink) {
     }
 }
 
-/// Notes the largest distance that a device would have to cover in no time between two scenes.
+/// Adds a note about the largest distance that a device would have to cover in no time between two scenes.
 pub(super) fn note_joins(scenes: &[Scene], sink: &mut Sink) {
     let mut largest: Option<(f64, String)> = None;
     let mut last: HashMap<(&str, &str), f64> = HashMap::new();

@@ -9,7 +9,7 @@ use super::{Clearance, KEYFRAMES_MAX, Motion};
 
 /// Maximum number of findings per file, because a file of a different format is wrong in every line.
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
-/// Maximum length of a line that a finding carries, in bytes.
+/// Maximum length, in bytes, of the source line that a finding quotes.
 const LINE_BYTES_MAX: usize = 4_000;
 
 /// Collects notes and findings.
@@ -19,7 +19,7 @@ pub(super) struct Sink {
     pub(super) findings: Vec<Finding>,
     /// Number of keyframes so far, which limits the size of the import.
     keyframes: usize,
-    /// Number of values that repeat the previous value.
+    /// Number of values that repeat the previous value, because the file contains a pause or leaves a device out.
     pub(super) held: usize,
     /// The minimum distance between robots, if the files state it.
     pub(super) clearance: Option<Clearance>,
@@ -31,7 +31,7 @@ pub(super) struct Spot<'a> {
     /// The number of the line, counted from 1.
     pub(super) line: usize,
     pub(super) text: &'a str,
-    /// The byte offset of the part in the line; `width` is its width.
+    /// The byte offset of the part in the line; `width` is the part's length in bytes.
     pub(super) start: usize,
     pub(super) width: usize,
 }
@@ -91,7 +91,7 @@ impl Sink {
         self.push(Finding::about_file(code, file, message, expected, hint.map(str::to_owned)));
     }
 
-    /// Adds findings whose places are paths in a tree.
+    /// Adds findings whose places are paths in a parsed document.
     pub(super) fn located(&mut self, source: &Source, findings: Reader) {
         let mut pending = findings.found;
         pending.truncate(FINDINGS_A_FILE_MAX + 1);
@@ -100,7 +100,7 @@ impl Sink {
         }
     }
 
-    /// Whether a file has too many findings to report more of them.
+    /// Whether a file has reached the maximum number of findings, so that further findings are not reported.
     pub(super) fn is_full(&self, source: &Source) -> bool {
         self.of(&source.name) > FINDINGS_A_FILE_MAX
     }
@@ -151,13 +151,14 @@ impl Sink {
     }
 }
 
-/// Cuts the line that a finding carries to a reasonable length.
+/// Shortens the source line that a finding quotes if it is too long.
 pub(super) fn with_short_line(mut finding: Finding) -> Finding {
     finding.source_line = shown(&finding.source_line, finding.column);
     finding
 }
 
-/// The part of a line around `start` that a finding carries, or the whole line if it is short.
+/// Returns the text of a line that a finding quotes: the whole line if it is short, otherwise its beginning. Empty if that beginning does
+/// not reach `start`.
 fn shown(line: &str, start: usize) -> String {
     if line.len() <= LINE_BYTES_MAX {
         return line.to_owned();

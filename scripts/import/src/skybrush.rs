@@ -1,5 +1,5 @@
-//! Reads compiled drone shows of Skybrush, `.skyc`: a ZIP archive of `show.json` and the files that it refers to. They contain paths as
-//! Bezier curves, headings, and light programs.
+//! Reads compiled drone shows of Skybrush. A `.skyc` file is a ZIP archive of `show.json` and the files to which it refers. These contain
+//! paths as Bezier curves, headings, and light programs.
 
 use std::collections::BTreeSet;
 
@@ -21,16 +21,16 @@ use super::{
     Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
 };
 
-/// Maximum number of control points between two points: as in Skybrush, curves have at most degree 7.
+/// Maximum number of control points between two points of a path. As in Skybrush, curves have at most degree 7.
 const CONTROLS_MAX: usize = 6;
 /// Maximum number of drones.
 const DRONES_MAX: usize = 10_000;
 /// Default number of samples of a fade per second: one for each frame of the light programs.
 const FADE_HZ: f64 = 50.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
-/// The keys of a show and of a drone's settings that are used.
+/// The keys of a show that the import uses. `DRONE_KEYS` contains those of a drone's settings.
 const SHOW_KEYS: [&str; 4] = ["version", "swarm", "settings", "environment"];
-/// Default minimum distances between drones in metres, from Skybrush's viewer.
+/// Default minimum distances between drones, indoors and outdoors, in metres, as in Skybrush's viewer.
 const INDOOR_M: f64 = 0.5;
 const OUTDOOR_M: f64 = 3.0;
 const DRONE_KEYS: [&str; 4] = ["name", "trajectory", "lights", "yawControl"];
@@ -70,7 +70,7 @@ struct Show<'a> {
     told: Told,
 }
 
-/// Reads one file: all drones in one scene.
+/// Reads one file, which contains the motions of all drones in one scene.
 pub(super) fn read(
     input: &Input,
     name: &str,
@@ -175,7 +175,7 @@ fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Ve
     Some(drones)
 }
 
-/// The minimum distance between drones with which the show was validated.
+/// Returns the minimum distance between drones with which the show was validated.
 fn clearance(root: &At<'_>) -> Clearance {
     let stated = tree::optional(root, "settings").and_then(|settings| {
         let validation = tree::optional(&settings, "validation")?;
@@ -218,7 +218,7 @@ fn version(at: &At<'_>, what: &str, findings: &mut Reader) {
     }
 }
 
-/// Locates a part: `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
+/// Locates a part of the show. For example, `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
 fn part(at: &At<'_>) -> Part {
     match tree::optional(at, "$ref").map(|at| at.node) {
         Some(Node::Text(reference)) => {
@@ -337,7 +337,7 @@ struct Waypoint {
 }
 
 impl Way {
-    /// Converts one axis of the path: straight paths become keyframes; all other paths become curves.
+    /// Converts one axis of the path. A straight path becomes keyframes; any other path becomes a curve.
     fn device(&self, axis: usize) -> DeviceMotion {
         let first = self
             .points
@@ -372,8 +372,8 @@ impl Way {
     }
 }
 
-/// Converts a Bezier curve to coefficients of the powers of time in seconds: c_i = (n over i) / T^i times the i-th difference of its
-/// points.
+/// Converts a Bezier curve to coefficients c_i for powers of the time in seconds: c_i = (n over i) / T^i times the i-th difference of its
+/// points. n is the degree of the curve, and T is its duration in seconds.
 fn coefficients(points: &[f64], seconds: f64) -> Vec<f64> {
     let mut differences = points.to_vec();
     let degree = points.len() - 1;

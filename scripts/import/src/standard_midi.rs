@@ -12,7 +12,8 @@ pub(super) enum Timing {
 /// An event of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Event<'a> {
-    /// A message of a channel from 1 to 16: its status without the channel, and one or two data bytes.
+    /// A message on one MIDI channel (1 to 16): the status byte with its channel bits cleared, and two data bytes. The second data byte
+    /// is 0 if the message has only one.
     Channel {
         channel: u8,
         status: u8,
@@ -25,13 +26,14 @@ pub(super) enum Event<'a> {
     Exclusive,
 }
 
-/// The properties of a file except its events.
+/// What a MIDI file contains besides its events.
 #[derive(Debug)]
 pub(super) struct Song {
     pub(super) timing: Timing,
-    /// Number of events that use the status of an event before a meta event or an exclusive message.
+    /// Number of messages without a status byte that directly follow a meta event or an exclusive message. They reuse the last status
+    /// before it.
     pub(super) resumed: usize,
-    /// Descriptions of parts that were skipped, for the user.
+    /// Descriptions, for the user, of the parts of the file that were skipped.
     pub(super) passed_over: Vec<String>,
 }
 
@@ -39,7 +41,7 @@ const HEADER: usize = 14;
 const CHUNK: usize = 8;
 const END_OF_TRACK: u8 = 0x2f;
 
-/// Reads all tracks in order. Ticks count from the start of each track.
+/// Reads all tracks in order, and passes each event with its tick to `take`. Ticks count from the start of each track.
 pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) -> Result<Song, String> {
     let bytes = unwrapped(bytes);
     let (timing, tracks, length) = header(bytes)?;
@@ -85,13 +87,13 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
     }
 }
 
-/// The MIDI file within a RIFF file (RMID); other files remain unchanged.
+/// Returns the MIDI file inside a RIFF container (RMID), or `bytes` unchanged if there is no such container.
 fn unwrapped(bytes: &[u8]) -> &[u8] {
     let is_riff = bytes.starts_with(b"RIFF") && bytes.get(8..16) == Some(b"RMIDdata");
     if is_riff { bytes.get(20..).unwrap_or_default() } else { bytes }
 }
 
-/// Parses the header: the timing, the number of tracks and the length of the header in bytes.
+/// Parses the header of the file. Returns the timing, the number of tracks, and the length of the header in bytes.
 fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     if !bytes.starts_with(b"MThd") {
         return Err(not_midi(bytes));
@@ -130,7 +132,7 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     Ok((timing, tracks, length))
 }
 
-/// The message for a file that does not begin with `MThd`. It shows the first bytes if they are text.
+/// Returns the error message for a file that does not begin with `MThd`. It quotes the first bytes if they are text.
 fn not_midi(bytes: &[u8]) -> String {
     let begin = &bytes[..bytes.len().min(4)];
     match begin {
@@ -142,21 +144,21 @@ fn not_midi(bytes: &[u8]) -> String {
     }
 }
 
-/// Parses a big-endian number.
+/// Parses a big-endian number of `width` bytes at the offset `at`; `None` if the file ends before.
 fn number(bytes: &[u8], at: usize, width: usize) -> Option<usize> {
     let part = bytes.get(at..at + width)?;
     Some(part.iter().fold(0, |sum, byte| (sum << 8) | usize::from(*byte)))
 }
 
 struct Track<'a> {
-    /// The file up to the end of the track.
+    /// The bytes of the file up to the end of the track.
     bytes: &'a [u8],
     at: usize,
     /// The number of the track, counted from 1.
     number: usize,
-    /// The status of the previous channel message (running status), which following messages may leave out.
+    /// The status of the previous channel message (running status). The next message may omit its status if it is the same.
     status: Option<u8>,
-    /// Whether a meta event or an exclusive message followed the message with that status.
+    /// Whether a meta event or an exclusive message has followed the last status byte.
     interrupted: bool,
 }
 
@@ -233,7 +235,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Reads a number with seven bits per byte, most significant first.
+    /// Reads a variable-length number: seven bits per byte, most significant first.
     fn variable(&mut self) -> Result<usize, String> {
         let begin = self.at;
         let mut sum = 0;
@@ -247,7 +249,7 @@ impl<'a> Track<'a> {
         Err(self.wrong(begin, "a number has more than four bytes"))
     }
 
-    /// Reads a length, and as many bytes as it states.
+    /// Reads a length, then that many bytes, and returns the bytes.
     fn data(&mut self) -> Result<&'a [u8], String> {
         let (begin, length) = (self.at, self.variable()?);
         let data = self.bytes.get(self.at..self.at + length);

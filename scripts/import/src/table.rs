@@ -1,4 +1,4 @@
-//! Splits tables of text into lines of cells with their positions. Blank lines and lines that begin with `#` are ignored.
+//! Splits tables in text files into rows of cells with their positions. Blank lines and lines that begin with `#` are ignored.
 
 use std::borrow::Cow;
 
@@ -33,7 +33,7 @@ pub struct Cell<'a> {
     width: usize,
 }
 
-/// The rows of a table, including a header that is written as a comment.
+/// Returns the rows of a table. A header that is written as a comment is the first one.
 pub fn rows(source: &Source, dialect: Dialect) -> impl Iterator<Item = Row<'_>> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let rows = lines.map(move |(index, text)| Row::of(index, text, dialect.separator));
@@ -46,8 +46,8 @@ pub(super) fn every_row(source: &Source, separator: char) -> impl Iterator<Item 
     source.text.lines().enumerate().map(move |(index, text)| Row::of(index, text, separator))
 }
 
-/// Finds a header that is written as a comment, `# duration,x^0`. It is the last comment before the numbers, if both have the same number
-/// of columns.
+/// Finds a header that is written as a comment, such as `# duration,x^0`. It is the last comment before the first line of numbers with as
+/// many columns as that line.
 fn commented_header(source: &Source, dialect: Dialect) -> Option<Row<'_>> {
     let Dialect { separator, skipped, .. } = dialect;
     let lines = || source.text.lines().enumerate().skip(skipped);
@@ -76,7 +76,7 @@ pub(super) fn is_row(line: &str) -> bool {
     !trimmed.is_empty() && !trimmed.starts_with('#')
 }
 
-/// The cells of a line from the byte offset `from` on.
+/// Splits a line, from the byte offset `from` on, into cells.
 fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     if separator == ' ' {
         return cells_between_blanks(line, from);
@@ -92,7 +92,7 @@ fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     }
 }
 
-/// Like [`cells`], but for cells separated by blanks. A unit in brackets belongs to the preceding name.
+/// Like [`cells`], but for cells that are separated by whitespace. A unit in brackets belongs to the cell before it.
 fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     let mut cells: Vec<Cell<'_>> = Vec::new();
     while cells.len() < CELLS_MAX {
@@ -117,7 +117,7 @@ fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     cells
 }
 
-/// The byte offset of the separator that ends the first cell, ignoring separators in quotes.
+/// Returns the byte offset of the separator that ends the first cell; `None` if there is only one cell. Separators in quotes are ignored.
 fn cell_end(rest: &str, separator: char) -> Option<usize> {
     let mut quoted = false;
     let opens = rest.trim_start_matches(' ').starts_with('"');
@@ -146,21 +146,21 @@ impl<'a> Row<'a> {
 }
 
 impl Row<'_> {
-    /// The place of a cell; the end of the line if the cell is missing.
+    /// Returns the place of a cell, or the end of the line if the cell is missing.
     pub(super) fn spot(&self, index: usize) -> Spot<'_> {
         let (start, width) =
             self.cells.get(index).map_or((self.text.len(), 0), |cell| (cell.start, cell.width));
         Spot { line: self.line, text: self.text, start, width }
     }
 
-    /// Drops the empty cell at the end of a line that ends with a separator.
+    /// Drops the empty last cell of a line that ends with a separator and therefore has one cell more than `columns`.
     pub(super) fn drop_trailing(&mut self, columns: usize) {
         if self.cells.len() == columns + 1 && self.cells.last().is_some_and(|cell| cell.text.is_empty()) {
             self.cells.pop();
         }
     }
 
-    /// Whether the row has as many cells as the header has columns. Otherwise adds a finding.
+    /// Whether the row has `columns` cells, as many as the header. Adds a finding if it has not.
     pub(super) fn has(&self, columns: usize, source: &Source, sink: &mut Sink) -> bool {
         let found = self.cells.len();
         if found == columns {
@@ -173,7 +173,7 @@ impl Row<'_> {
         false
     }
 
-    /// The text of a cell; numbers get a decimal point.
+    /// Returns the text of a cell; in numbers, a decimal comma is replaced by a decimal point.
     pub fn plain(&self, index: usize) -> Cow<'_, str> {
         let text = self.cells.get(index).map_or("", |cell| &cell.text);
         dialect::plain(text, self.decimal).unwrap_or(Cow::Borrowed(text))

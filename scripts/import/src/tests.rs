@@ -1,4 +1,4 @@
-//! No text makes an importer panic, and written files are read back.
+//! Tests of all importers: no text makes them panic, and the scenarios that they write can be read back.
 
 use std::fs;
 use std::path::PathBuf;
@@ -24,14 +24,14 @@ fn fixture_of(name: &str) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// The keyframes of the first device of this name: milliseconds and values.
+/// Returns the keyframes of the first device with this name, each as a time in milliseconds and a value.
 fn keyframes_of(imported: &Imported, name: &str) -> Vec<(f64, f64)> {
     let mut devices = imported.devices();
     let (_, device) = devices.find(|(_, device)| device.device == name).unwrap();
     keyframes(device)
 }
 
-/// Milliseconds and values.
+/// Returns the keyframes of a device, each as a time in milliseconds and a value.
 fn keyframes(device: &DeviceMotion) -> Vec<(f64, f64)> {
     device.keyframes.iter().map(|keyframe| (keyframe.at.as_millis_f64(), keyframe.value)).collect()
 }
@@ -76,7 +76,7 @@ fn imported(format: ImportFormat, text: &str) -> ImportOutcome {
     import_bytes(format, "test", text.as_bytes(), &options)
 }
 
-/// Properties that every outcome must have, with or without errors.
+/// Checks the properties that the outcome of every import must have, with or without errors.
 fn check_outcome(format: ImportFormat, text: &str) {
     let ImportOutcome { imported, findings, .. } = imported(format, text);
     assert!(imported.is_some() || !findings.is_empty() || text.is_empty(), "silence about {text:?}");
@@ -152,7 +152,7 @@ fn folders_are_robots_and_their_files_scenes_in_numerical_order() {
     assert_eq!(steps_written(&imported, Scenes::Acts), 2 * 2 * 4 * 2);
 }
 
-/// A folder that deletes itself.
+/// A temporary folder that is deleted when it is dropped.
 struct Folder(PathBuf);
 
 impl Drop for Folder {

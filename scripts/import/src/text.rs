@@ -1,4 +1,5 @@
-//! Reads texts as other programs save them: in UTF-8, in UTF-16 with a byte order mark, and with the line ends of old Macs.
+//! Reads text files as other programs save them. They may be in UTF-8, or in UTF-16 with a byte order mark. Lines may end with `\n`, with
+//! `\r\n`, or with `\r` as on old Macs.
 
 use downbeat_yaml::finding::Finding;
 use downbeat_yaml::source::Source;

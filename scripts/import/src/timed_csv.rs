@@ -22,7 +22,7 @@ struct Mapped {
     motion: DeviceMotion,
     indices: Vec<usize>,
     empty: usize,
-    /// Number of lines that repeat the value that the device holds.
+    /// Number of lines that are left out because the value of the device does not change.
     same: usize,
 }
 
@@ -41,7 +41,7 @@ struct Table<'a> {
     options: &'a ImportOptions,
 }
 
-/// Reads one file: all mapped robots in one scene.
+/// Reads one file. Returns the motions of all robots to whose devices columns are assigned, as one scene.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let dialect = Dialect::of(source, options.skip, options.decimal);
     let mut rows = rows(source, dialect).peekable();
@@ -89,7 +89,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions(input, mapped, source, sink)
 }
 
-/// Whether a title, lines with fewer cells, precedes the table. If so, adds a finding.
+/// Whether a title precedes the table, that is, lines with fewer cells. Adds a finding if there is one.
 fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
     let Some((before, cells)) = dialect::table_behind_title(table.source, table.dialect) else {
         return false;
@@ -152,8 +152,8 @@ fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeCol
     Some((TimeColumn { index, unit }, mapped))
 }
 
-/// The unit of the times: as stated by the user, or else by the header, or else as the times themselves show unambiguously. It is never
-/// guessed.
+/// Returns the unit of the times: the one that the user states, or else the header states, or else the times themselves show
+/// unambiguously. The unit is never guessed: if it is unclear, adds a finding and returns `None`.
 fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUnit> {
     let Table { header, options, source, .. } = *table;
     let said = moments::said_by(header.text(index));
@@ -193,7 +193,8 @@ fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUni
     }
 }
 
-/// The only notation that all clock times of the column match; a finding if there are none or several.
+/// Returns the notation of the clock times in the column. Adds a finding if several notations match all of them, or if no notation
+/// matches the first one.
 fn clock(
     table: &Table<'_>,
     index: usize,
@@ -220,7 +221,7 @@ fn clock(
     }
 }
 
-/// Hints for a missing unit, and for a missing frame rate.
+/// The hint for times whose unit is not known.
 const UNIT: &str = "set it with --time-unit, such as --time-unit s";
 const FRAMES: &str = "set it with --rate, such as --rate 25";
 
@@ -261,7 +262,7 @@ impl Mapped {
     }
 }
 
-/// Reads the times of consecutive lines.
+/// Reads the time of each line, and checks that the times increase.
 struct Clock {
     time: TimeColumn,
     first: Option<Span>,
@@ -309,7 +310,7 @@ impl Clock {
         Some(at)
     }
 
-    /// Notes unexpected properties of the frame rate and of the first frame.
+    /// Adds notes if the frame rate has no effect, or if the first frame is not at time 0.
     fn note(&self, options: &ImportOptions, source: &Source, sink: &mut Sink) {
         let file = &source.name;
         let is_counted = matches!(self.time.unit, TimeUnit::Frames(_) | TimeUnit::Timecode(_));
@@ -332,7 +333,7 @@ fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut S
 }
 
 impl Mapped {
-    /// Notes differences between the imported motion and the file.
+    /// Adds notes about differences between the imported motion and the file: empty cells and omitted lines. An empty column is an error.
     fn note(&self, source: &Source, sink: &mut Sink) {
         let Self { robot, motion, empty, same, .. } = self;
         let device = &motion.device;

@@ -1,5 +1,5 @@
-//! Reads YAML and JSON of other programs. Unused keys are ignored. Tags are rejected, because only the program that wrote them knows
-//! their meaning.
+//! Reads YAML and JSON files of other programs. Unused keys are ignored. Tags are rejected, because only the program that wrote them
+//! knows their meaning.
 
 use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::Code;
@@ -10,10 +10,10 @@ use downbeat_yaml::tags::foreign_tags;
 
 use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 
-/// Maximum size of texts that are parsed into trees, in bytes. A tree takes many times the memory of its text.
+/// Maximum size of a YAML text that is parsed, in bytes. The parsed tree takes many times the memory of the text.
 const YAML_BYTES_MAX: usize = 2 << 20;
 const JSON_BYTES_MAX: usize = 6 << 20;
-/// Maximum number of commas in a JSON text. Each represents a value, and short values take a hundred times their size in memory.
+/// Maximum number of commas in a JSON text, which limits the number of values. A short value takes a hundred times its length in memory.
 const COMMAS_MAX: usize = 1_000_000;
 /// Maximum number of brackets that are open at once.
 const DEPTH_MAX: usize = 500;
@@ -103,7 +103,8 @@ fn has_too_many_values(source: &Source, sink: &mut Sink) -> bool {
     commas > COMMAS_MAX
 }
 
-/// Whether brackets nest more deeply than in any file of these formats: the parsing time grows with the square of their depth.
+/// Whether brackets are nested more deeply than [`DEPTH_MAX`]. The parsing time grows with the square of the depth, and no valid file is
+/// nested so deeply.
 fn is_too_deep(text: &str) -> bool {
     let mut depth = 0_usize;
     text.bytes().any(|byte| {
@@ -116,7 +117,7 @@ fn is_too_deep(text: &str) -> bool {
     })
 }
 
-/// Reads the points of a trajectory, under the key `points`. An empty list is a finding.
+/// Returns the items of `list`, the points of a trajectory. Adds a finding if the list is empty.
 pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>> {
     let items = findings.list(list, "a list of points");
     if items.is_empty() && matches!(list.node, Node::List(_)) {
@@ -126,7 +127,7 @@ pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>>
     items
 }
 
-/// Whether there are too many findings to report more of them.
+/// Whether the maximum number of findings is exceeded, so that reading stops.
 pub(super) fn is_full(findings: &Reader) -> bool {
     findings.found.len() > FINDINGS_A_FILE_MAX
 }
@@ -137,7 +138,7 @@ pub(super) fn optional<'a>(at: &'a At<'a>, key: &'static str) -> Option<At<'a>> 
     entries.iter().find(|(name, _)| name == key).map(|(_, node)| at.entry(key, 0, node))
 }
 
-/// The value of a key. A missing key is a finding.
+/// Returns the value of a key. Adds a finding if the key is missing.
 pub(super) fn required<'a>(
     at: &'a At<'a>,
     key: &'static str,
@@ -170,7 +171,7 @@ pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f
     }
 }
 
-/// Reads a list of finite numbers. All wrong entries are reported.
+/// Reads a list of finite numbers. Adds a finding for each item that is anything else.
 pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<f64>> {
     let items = findings.list(at, &format!("{what}: a list of numbers"));
     let mut values = Vec::with_capacity(items.len());

@@ -3,7 +3,7 @@
 /// The unit of joints in ROS (REP 103) and Webots: radians for joints that turn, metres for joints that slide.
 pub(super) const OF_JOINTS: &str = "rad or m";
 
-/// The conversion factor between two units of the same quantity.
+/// Returns the factor that converts values from one unit to another; `None` unless both are units of the same quantity.
 pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     let (to_kind, to_size) = known(to)?;
     let from = match (from, to_kind) {
@@ -15,7 +15,7 @@ pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
-/// The size of a full turn in a unit of angles; `None` for other units.
+/// Returns the size of a full turn in a unit of angles, such as 360 for `deg`; `None` for other units.
 pub(super) fn turn(unit: &str) -> Option<f64> {
     match (factor(unit, "deg"), factor(unit, "rad")) {
         (Some(1.0), _) => Some(360.0),

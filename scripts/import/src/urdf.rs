@@ -13,17 +13,17 @@ use super::fleet_part::FilePart;
 use super::sink::{Sink, Spot};
 use super::yaml::{line, number, one_line, scalar};
 
-/// Maximum size of a file in bytes, and maximum number of its XML nodes.
+/// Maximum size of a URDF file, in bytes.
 const BYTES_MAX: usize = 8 << 20;
 const NODES_MAX: u32 = 1_000_000;
-/// Maximum number of attributes of an element: the time to compare them grows with the square of their number.
+/// Maximum number of attributes of an XML element. The parser compares all pairs of them, which takes quadratic time.
 const ATTRIBUTES_MAX: usize = 1_000;
-/// Maximum number of joints of a URDF.
+/// Maximum number of joints in a URDF file.
 const JOINTS_MAX: usize = 1_000;
-/// Defaults for values that a URDF does not contain.
+/// The assumed `granularity` and `max_error` of all devices, in their unit. A URDF states neither.
 const GRANULARITY: f64 = 0.001;
 const STEPS: usize = 256;
-/// The range in each direction of a joint without limits, in rad.
+/// How far a continuous joint, which has no limits, may turn in each direction, in rad.
 const TURN: f64 = std::f64::consts::TAU;
 
 /// The result of converting a URDF.
@@ -33,9 +33,9 @@ pub struct UrdfOutcome {
     pub files: Vec<FilePart>,
     /// The number of devices in the block.
     pub devices: usize,
-    /// Notes about omissions and assumed values.
+    /// Notes about parts of the URDF that are left out, and about values that are assumed.
     pub notes: Vec<String>,
-    /// The errors.
+    /// The errors in the URDF; empty if it was converted.
     pub findings: Vec<Finding>,
 }
 
@@ -47,7 +47,7 @@ struct Joint {
     velocity: Option<f64>,
 }
 
-/// Observations that are reported once for all joints.
+/// Properties of joints that are each reported in one note for all joints concerned.
 #[derive(Default)]
 struct Told {
     fixed: usize,
@@ -258,7 +258,8 @@ fn range(
     None
 }
 
-/// Parses an attribute of three numbers. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
+/// Parses an attribute of three numbers. Returns `Some(None)` if the attribute is missing. Adds a finding and returns `None` if it is
+/// invalid.
 pub(super) fn numbers(
     node: Node<'_, '_>,
     name: &str,
@@ -278,7 +279,8 @@ pub(super) fn numbers(
     parts.map(Some)
 }
 
-/// Parses an attribute that is a number. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
+/// Parses an attribute that is a number. Returns `Some(None)` if the attribute is missing. Adds a finding and returns `None` if it is
+/// invalid.
 pub(super) fn attribute(
     node: Node<'_, '_>,
     name: &str,

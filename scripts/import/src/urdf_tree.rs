@@ -1,4 +1,5 @@
-//! The tree of joints in a robot's URDF, for the arm of a body: the positions of its joints, and the thickness of its links.
+//! Reads the tree of joints in a robot's URDF: the positions of the joints, and the thickness of the links. The arm of a robot's body is
+//! modelled from them.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -68,9 +69,10 @@ pub struct Mimic {
 enum Cover {
     #[default]
     Nothing,
-    /// Only cylinders and spheres: balls that enclose the ends of the cylinders, and the spheres, in the frame of the link.
+    /// The link has only spheres and cylinders. Each cylinder is represented by two balls around its ends. Positions are in the frame of
+    /// the link.
     Round(Vec<Round>),
-    /// Other shapes: meshes or boxes.
+    /// The link has other shapes, such as meshes or boxes.
     Other,
 }
 
@@ -83,7 +85,7 @@ struct Round {
 /// The reason why no chain of joints leads to a link.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NoChain {
-    /// No link is given, and the tree ends at several links, which the set contains.
+    /// No link is given, and the tree ends at more than one link. The set contains the links at which it ends.
     Branches(BTreeSet<String>),
     /// No joint leads to the link. The set contains the links to which a joint leads.
     Unknown(BTreeSet<String>),
@@ -91,7 +93,7 @@ pub enum NoChain {
     Round,
 }
 
-/// Reads the tree of a URDF.
+/// Reads the tree of joints from a URDF.
 pub fn tree(source: &Source) -> Result<Tree, Vec<Finding>> {
     let mut sink = Sink::default();
     let mut tree = Tree::default();
@@ -124,7 +126,8 @@ impl Tree {
         self.joints.push(joint);
     }
 
-    /// The joints from the root to the link `end`. If `end` is `None`: to the link at which the tree ends.
+    /// Returns the joints from the root to the link `end`, in order. If `end` is `None`, the chain leads to the only link without further
+    /// joints.
     pub fn chain(&self, end: Option<&str>) -> Result<Vec<&TreeJoint>, NoChain> {
         let to: HashMap<&str, &TreeJoint> =
             self.joints.iter().map(|joint| (joint.child.as_str(), joint)).collect();
@@ -154,8 +157,9 @@ impl Tree {
         Ok(chain)
     }
 
-    /// The radius in metres of the capsule that encloses the round shapes of a joint's child link. Its axis is the line to `next`, the
-    /// origin of the next joint. `None` if the link has other shapes. A link without shapes has radius 0.
+    /// Returns the radius, in metres, of a capsule that encloses the child link of a joint. The axis of the capsule leads from this joint
+    /// to `next`, the origin of the next joint. A link without shapes has radius 0. `None` if the link has shapes other than spheres and
+    /// cylinders, or if it has any shapes and slides.
     pub fn radius(&self, joint: &TreeJoint, next: [f64; 3]) -> Option<f64> {
         match self.covers.get(&joint.child) {
             None | Some(Cover::Nothing) => Some(0.0),
@@ -173,7 +177,7 @@ impl Tree {
     }
 }
 
-/// The distance of a point to the line segment from the origin to `end`.
+/// Returns the distance between a point and the line segment from the origin to `end`.
 fn to_line(point: [f64; 3], end: [f64; 3]) -> f64 {
     let squared: f64 = end.iter().map(|part| part * part).sum();
     let along: f64 = point.iter().zip(&end).map(|(a, b)| a * b).sum();
@@ -222,7 +226,7 @@ fn joint(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<TreeJoi
     Some(TreeJoint { name, motion, parent, child: to, xyz, rpy, axis: axis.map(|part| part / long), mimic })
 }
 
-/// Reads the element `<origin xyz="..." rpy="..."/>`.
+/// Reads the element `<origin xyz="..." rpy="..."/>` of a node. Missing parts are zero; `None` if a part is invalid.
 fn origin(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<[[f64; 3]; 2]> {
     let Some(origin) = child(node, "origin") else { return Some([[0.0; 3]; 2]) };
     let [xyz, rpy] = ["xyz", "rpy"].map(|name| numbers(origin, name, source, sink));
@@ -253,7 +257,7 @@ fn cover(link: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<Cover> 
     Some(Cover::Round(rounds))
 }
 
-/// The direction of z after roll, pitch and yaw about fixed axes.
+/// Returns the direction of the z axis after rotations about the fixed axes: roll, pitch, then yaw, in radians.
 fn upright([roll, pitch, yaw]: [f64; 3]) -> [f64; 3] {
     let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
     [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr]

@@ -1,4 +1,4 @@
-//! Reads waypoints: a CSV `id,x[m],y[m],z[m],t[s]` with one position of a robot at one time per line.
+//! Reads waypoints: a CSV file with the header `id,x[m],y[m],z[m],t[s]`. Each line is the position of one robot at one time.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const COLUMNS: [(&str, &str); 5] = [("id", ""), ("x", "m"), ("y", "m"), ("z", "m"), ("t", "s")];
 
-/// Maximum number of robots that each have a separate note.
+/// Maximum number of robots that are each reported in a separate note.
 const NOTES_MAX: usize = 20;
 
 struct Waypoint {
@@ -26,7 +26,7 @@ struct Waypoint {
     position: [f64; 3],
 }
 
-/// Reads one file: several robots in one scene.
+/// Reads one file. Returns the motions of its robots, as one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let mut rows = rows(source, Dialect::of(source, 0, None));
     let Some(mut header) = rows.next() else {
@@ -71,7 +71,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     robots.into_iter().map(motion).collect()
 }
 
-/// For each column, the factor that converts its values to metres or seconds.
+/// Returns, for each column, the factor that converts its values to metres or seconds.
 fn factors(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<[f64; 5]> {
     let mut factors = [1.0; 5];
     for (index, (name, unit)) in COLUMNS.iter().enumerate() {
@@ -131,7 +131,7 @@ fn is_later(last: &Waypoint, next: &Waypoint, row: &Row<'_>, source: &Source, si
     })
 }
 
-/// Notes robots with fewer waypoints than others. This is not an error: lines may be omitted.
+/// Adds a note for each robot with fewer waypoints than others. This is not an error, because lines may be omitted.
 fn note_unequal(robots: &[(String, Vec<Waypoint>)], source: &Source, sink: &mut Sink) {
     let most = robots.iter().map(|(_, own)| own.len()).max().unwrap_or(0);
     for (robot, own) in robots.iter().filter(|(_, own)| own.len() < most).take(NOTES_MAX) {

@@ -1,4 +1,5 @@
-//! Webots' `.motion` files: `#WEBOTS_MOTION,V1.0,joint,..`, then one pose per line with its time, its name and one value per joint.
+//! Reads Webots' `.motion` files. The header is `#WEBOTS_MOTION,V1.0,joint,..`. Each further line is a pose: its time, its name, and one
+//! value per joint.
 
 use urrcp::Span;
 
@@ -14,17 +15,17 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const MAGIC: &str = "#WEBOTS_MOTION";
 const VERSION: &str = "V1.0";
-/// Number of columns before the columns of the joints.
+/// Number of columns (time and name) before the columns of the joints.
 const AHEAD: usize = 2;
 
-/// A joint. `untold` is the time until which it has no command.
+/// A joint with its motion so far. `untold` is the time of the last pose, if that pose has no value for the joint.
 struct Joint {
     motion: DeviceMotion,
     untold: Option<Span>,
     gaps: usize,
 }
 
-/// Reads one file: one robot in one scene.
+/// Reads one file. Returns the motion of its only robot, as one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let mut rows = every_row(source, ',').filter(|row| !row.text.trim().is_empty());
     let Some(mut header) = rows.next() else {
@@ -122,7 +123,8 @@ fn read_pose(
 }
 
 impl Joint {
-    /// Handles a pose without a value for the joint: Webots sends no command to the motor then, so the joint keeps its position.
+    /// Handles a pose that has no value for the joint. For such a pose, Webots sends no command to the motor, so the joint keeps its
+    /// position.
     fn skip(&mut self, at: Span) {
         self.gaps += 1;
         self.untold = Some(at);
@@ -155,7 +157,7 @@ fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
     ));
 }
 
-/// Parses a time `[[minutes:]seconds:]milliseconds`; each number may have any size.
+/// Parses a time of the form `[[minutes:]seconds:]milliseconds`. Seconds may exceed 59, and milliseconds may exceed 999.
 fn millis(text: &str) -> Option<Span> {
     let mut sum = 0_i64;
     let parts: Vec<&str> = text.trim().split(':').collect();

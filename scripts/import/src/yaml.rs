@@ -1,4 +1,4 @@
-//! Writes the scenario for human readers: one keyframe per line.
+//! Writes imported motion as a scenario that people can read, with one keyframe per line.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -11,19 +11,19 @@ use super::fleet_part::asked;
 use super::grid::on_grid;
 use super::{Course, DeviceMotion, Imported, Keyframe, Scene};
 
-/// How scenes are combined.
+/// How the imported scenes are combined into one scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scenes {
-    /// Each scene becomes an act.
+    /// Each scene becomes an act, a part of the scenario that is started separately.
     Acts,
-    /// All scenes become one list of cues.
+    /// All scenes become one list of cues, one scene after another.
     Joined,
 }
 
-/// Largest difference between values that count as equal, because of rounding in the files.
+/// Largest difference between two values that count as equal. It allows for rounding in the files.
 const SAME: f64 = 1e-5;
 
-/// The text of a scenario file. `fleet` is the fleet file that it refers to.
+/// Returns the text of a scenario file with the imported motion. `fleet` is the fleet file that the scenario refers to, if any.
 #[must_use]
 pub fn scenario_text(
     imported: &Imported,
@@ -67,7 +67,8 @@ pub fn scenario_text(
     text
 }
 
-/// The number of keyframes and pieces that are written to the scenario. Joined scenes that meet have one value in common.
+/// Returns the number of keyframes and polynomial pieces that are written to the scenario. In joined scenes, a keyframe that repeats the
+/// end of the previous scene is left out.
 #[must_use]
 pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     if scenes == Scenes::Acts {
@@ -89,12 +90,12 @@ pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     steps
 }
 
-/// The last time and value of each device of each robot, in the scenes written so far.
+/// The last time and value of each device in the scenes written so far, by robot and device.
 #[derive(Default)]
 struct Joints(std::collections::HashMap<(String, String), (Span, f64)>);
 
 impl Joints {
-    /// The keyframes of a device, without a first keyframe that only repeats the end of the previous scene.
+    /// Returns the keyframes of a device. The first one is left out if it only repeats the end of the previous scene.
     fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start: Span) -> &'a [Keyframe] {
         let all = device.keyframes.as_slice();
         if let Course::Pieces(_) | Course::Several(_) = device.course {
@@ -181,7 +182,7 @@ pub(super) fn line(text: &mut String, content: std::fmt::Arguments<'_>) {
     let _infallible = writeln!(text, "{content}");
 }
 
-/// Writes a time; whole seconds and milliseconds are written as such.
+/// Writes a time with its unit: in seconds if they are whole, or else in milliseconds if they are whole, or else exactly.
 fn time(at: Span) -> String {
     let nanos = at.as_nanos();
     match (nanos % 1_000_000_000, nanos % 1_000_000) {
@@ -191,7 +192,7 @@ fn time(at: Span) -> String {
     }
 }
 
-/// Writes a number so that it is parsed as the same value. Very large and very small numbers have an exponent.
+/// Writes a number so that it is parsed as the same value. Very large and very small numbers are written with an exponent.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-9..1e15).contains(&size) { format!("{value}") } else { format!("{value:.17e}") }

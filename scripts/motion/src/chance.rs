@@ -3,10 +3,10 @@
 //! G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
 //! <https://doi.org/10.1145/2660193.2660195>; the constants of `mix` are David Stafford's variant 13.
 
-/// The increment of the state per number: 2^64 divided by the golden ratio, made odd.
+/// The amount by which the generator's state increases per number: 2^64 divided by the golden ratio, rounded to an odd integer.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The precision of the random fractions, in bits: as many as a double has.
+/// The number of random bits in a fraction: the precision of a double.
 const DRAWN_BITS: u32 = 53;
 
 const fn mix(z: u64) -> u64 {
@@ -15,18 +15,19 @@ const fn mix(z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A random number that depends on all given numbers. For a single number, it is the first output of SplitMix64 with that number as the
-/// seed. For several numbers, the seed is the result for all but the last number, plus the last number.
+/// Returns a random number that depends on all given numbers. For a single number, it is the first output of SplitMix64 with that number
+/// as the seed. For several numbers, the seed is the sum of the last number and the result for all numbers before it.
 pub fn drawn(from: &[f64]) -> u64 {
     from.iter().fold(0, |state: u64, number| mix(state.wrapping_add(bits(*number)).wrapping_add(GAMMA)))
 }
 
-/// Like [`drawn`], but a fraction from 0 to below 1, as numerator and denominator. The denominator is 2^53.
+/// Like [`drawn`], but returns a fraction from 0 to below 1, as numerator and denominator. The denominator is 2^53.
 pub fn share(from: &[f64]) -> (u64, u64) {
     (drawn(from) >> (u64::BITS - DRAWN_BITS), 1 << DRAWN_BITS)
 }
 
-/// The integer that represents a number: the value of whole numbers, so that -0 equals 0; the bits of other numbers.
+/// Returns the integer that represents a number. A whole number is represented by its value, so that -0 equals 0; any other number by its
+/// bits.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

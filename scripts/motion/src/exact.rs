@@ -7,9 +7,9 @@ use num_rational::Ratio;
 use num_traits::{CheckedAdd, CheckedDiv, CheckedMul};
 use urrcp::Span;
 
-/// Maximum number of decimal digits that are read.
+/// Maximum number of digits before the decimal point, and of digits that are read after it.
 const DECIMALS_MAX: usize = 18;
-/// Number of bits of the denominator of a fraction that is too long to be kept exactly.
+/// Fractions that are too long to be kept exactly are rounded to a denominator of 2 to the power of this number.
 const COARSE_BITS: u32 = 20;
 
 /// A time in nanoseconds, as a fraction.
@@ -31,7 +31,7 @@ impl Exact {
         Self(self.0.checked_mul(&count).unwrap_or_else(approximate))
     }
 
-    /// The quotient of two lengths. `None` if `other` is zero.
+    /// Returns this length divided by `other`; `None` if `other` is zero.
     pub fn divided_by(self, other: Self) -> Option<Fraction> {
         let approximate = || near(to_f64(self.0) / to_f64(other.0));
         (other != Self::ZERO).then(|| self.0.checked_div(&other.0).unwrap_or_else(approximate))
@@ -91,7 +91,7 @@ impl From<Span> for Exact {
 pub struct Beginning(pub Option<Exact>);
 
 impl Beginning {
-    /// The clock time that passes from the start until `length` after it.
+    /// Converts `length`, which counts from the start of the cue, to clock time.
     pub fn lay(self, length: Exact) -> Span {
         match self.0 {
             Some(start) if !length.0.is_integer() => start.plus(length).rounded() - start.rounded(),
@@ -110,12 +110,12 @@ pub struct Laps {
 }
 
 impl Laps {
-    /// The start of a lap; laps are counted from 0.
+    /// Returns the clock time from the start of the first lap to the start of the lap `lap`. Laps are counted from 0.
     pub fn begin(&self, lap: u32) -> Span {
         self.within(lap, Exact::ZERO)
     }
 
-    /// The time that is `later` after the start of a lap.
+    /// Returns the clock time from the start of the first lap to the moment `later` after the start of the lap `lap`.
     pub fn within(&self, lap: u32, later: Exact) -> Span {
         self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))).plus(later))
     }
@@ -145,7 +145,7 @@ pub fn fraction(value: f64) -> Fraction {
     decimal(&value.to_string()).unwrap_or_else(|| near(value))
 }
 
-/// Like [`fraction`], but for any sign. Very small and very large numbers become the nearest millionth.
+/// Like [`fraction`], but also for negative numbers. Very small and very large numbers become the nearest millionth.
 pub fn near_fraction(value: f64) -> Fraction {
     let size = decimal(&value.abs().to_string()).unwrap_or_else(|| near(value.abs()));
     if value < 0.0 { -size } else { size }
@@ -179,7 +179,7 @@ fn near(value: f64) -> Fraction {
     Ratio::new((value * scale).round() as i128, 1 << COARSE_BITS)
 }
 
-/// Rounds down to a millionth, so that denominators do not grow in sums.
+/// Rounds a fraction down to a multiple of 2^-20 (about a millionth), so that the denominators of sums do not grow.
 fn coarse(value: Fraction) -> Fraction {
     let (whole, rest) = (value.numer().div_euclid(*value.denom()), value.numer().rem_euclid(*value.denom()));
     let shift = (128 - value.denom().leading_zeros()).saturating_sub(126 - COARSE_BITS);

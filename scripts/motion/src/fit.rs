@@ -46,7 +46,7 @@ impl Samples<'_> {
         self.gaps.get(sample).copied().unwrap_or(0.0)
     }
 
-    /// The least and the largest value within the room at a sample.
+    /// Returns the least and the largest allowed value at a sample, where steps may be at most `room` away from the curve.
     fn gate(&self, sample: usize, room: f64) -> (f64, f64) {
         let (value, room) = (self.values[sample], self.room_at(sample, room));
         (value - room, value + room)
@@ -103,8 +103,8 @@ pub struct Fit {
 /// one whose error is minimal to within 1 % of the tolerance.
 ///
 /// At most 35 values per sample are candidates, including the value nearest to the curve. For curves of more than 4096 samples, at most
-/// 256 samples per straight piece are candidates. If there are more values or samples, they are thinned evenly. No fit has fewer steps
-/// than [`Fit::at_least`] then.
+/// 256 samples per straight piece are candidates. If there are more values or samples, they are thinned evenly; no fit has fewer steps
+/// than [`Fit::at_least`] even then.
 ///
 /// ```
 /// use downbeat_motion::fit::{Ends, Grid, Samples, fewest};
@@ -152,8 +152,8 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
 /// Lower bound of the number of steps, at any times and with any values, that a device that moves linearly needs. Unlike [`lower_bound`],
 /// it is not limited to steps at samples.
 ///
-/// The bound is one more than the fewest groups of consecutive samples such that one straight line passes each group within the
-/// tolerance. `None` if no number of steps suffices, as for [`lower_bound`].
+/// The bound is one more than the fewest groups of consecutive samples such that a single straight line passes all samples of a group
+/// within the tolerance. `None` if no number of steps suffices, as for [`lower_bound`].
 #[must_use]
 pub fn steps_at_least(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;

@@ -65,13 +65,13 @@ impl Tempo {
         self.0.len() > 1
     }
 
-    /// The last section whose `key` is at most `value`.
+    /// Returns the last section whose `key` is at most `value`.
     fn section<T: PartialOrd>(&self, key: impl Fn(&Anchored) -> T, value: T) -> Option<&Anchored> {
         let after = self.0.partition_point(|section| key(section) <= value);
         self.0.get(after.saturating_sub(1))
     }
 
-    /// The time of a position, counted from the beginning.
+    /// Returns the time of a position, counted from the beginning of the first bar.
     fn position(&self, bar: u32, beat: Fraction) -> Option<Exact> {
         let section = self.section(|s| s.section.bar, bar)?;
         let bars = section.section.bars(whole(bar - section.section.bar));
@@ -146,7 +146,7 @@ impl Music {
         Some(self.length(bars, beats))
     }
 
-    /// The duration of a number of bars and beats from the start of the cue on.
+    /// Returns the duration of a number of bars and beats that begin at the start of the cue.
     pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, NoMusicalLength> {
         let tempo = self.tempo.as_ref().ok_or(NoMusicalLength::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
@@ -183,7 +183,8 @@ impl Music {
         (bar > written).then_some((beats(written)?, meant))
     }
 
-    /// Parses a position such as `bar 3 beat 2` and converts it to the time from the beginning. `None` if the text is not a position.
+    /// Parses a position such as `bar 3 beat 2` and converts it to the time from the beginning of the first bar. `None` if the text is
+    /// not a position.
     pub fn position(&self, text: &str) -> Option<Result<Exact, NoMusicalLength>> {
         let (bar, beat) = position(text)?;
         let Some(tempo) = self.tempo.as_ref() else { return Some(Err(NoMusicalLength::WithoutTempo)) };

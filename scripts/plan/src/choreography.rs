@@ -25,7 +25,8 @@ pub struct Choreography {
     pub requirements: Requirements,
 }
 
-/// A group of scripts that are prepared, decided and started together, with the conditions before and the transitions after it.
+/// A group of scripts that are prepared together and, after one decision, started together, with the conditions before and the
+/// transitions after it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Act {
     /// Name of the act, unique in the scenario; empty if the scenario has no acts of its own.
@@ -43,13 +44,13 @@ pub struct Act {
     pub devices: Vec<DeviceUse>,
     /// Movement of the robots in space during the act.
     pub in_space: InSpace,
-    /// Sensor readings that the act plans.
+    /// Sensor readings that are planned during the act.
     pub readings: Vec<PlannedReading>,
     /// Condition that must be met before the act begins.
     pub wait: Wait,
     /// Longest wait for the condition in `wait`; `None` for no limit.
     pub timeout: Option<Span>,
-    /// Transition after this wait has timed out.
+    /// Transition if the wait for the condition in `wait` times out.
     pub on_timeout: Way,
     /// Transition after the act has ended.
     pub next: Way,
@@ -78,7 +79,7 @@ pub struct FailurePolicy {
     pub default: OnFailure,
     /// Reactions to failures of single robots.
     pub robots: Vec<(RobotId, OnFailure)>,
-    /// Index of the act that follows a failure.
+    /// Index of the act that follows a failure; `None` if no act follows.
     pub then: Option<usize>,
 }
 
@@ -88,7 +89,7 @@ impl FailurePolicy {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
 
-    /// Whether all robots go to their default state after any failure.
+    /// Whether the failure of any robot sends all robots to their default state.
     #[must_use]
     pub fn sends_home(&self) -> bool {
         self.policies().all(|rule| rule == OnFailure::Home)
@@ -116,7 +117,8 @@ pub enum OnDoubt {
     /// The other robots start. If the silent robot is gone, they begin without it.
     #[default]
     Start,
-    /// The other robots do not move. If the silent robot starts, it moves alone until its lease has ended.
+    /// The other robots do not move. If the silent robot starts, it moves alone until its lease (the longest permitted silence of the
+    /// scheduler) has ended.
     Withdraw,
 }
 
@@ -151,9 +153,9 @@ pub struct PlannedCue {
     pub name: String,
     /// Time at which the cue starts, since the act's start.
     pub start: Span,
-    /// Time at which the last robot of the cue has ended, since the act's start.
+    /// Time at which the last robot of the cue finishes, since the act's start.
     pub end: Span,
-    /// Largest delay of the cue's start that keeps all its relations and does not delay the end of the act.
+    /// Largest delay of the cue's start that keeps all its relations to other cues and does not delay the end of the act.
     pub slack: Span,
     /// Whether the cue is on the critical path: a chain of relations without slack from the cue to the end of the act. A cue fixed by
     /// `at` has no slack either, but is not critical if other cues end later.
@@ -206,14 +208,15 @@ pub struct DeviceUse {
     pub worst_error: f64,
     /// Time of the largest deviation, since the act's start.
     pub worst_at: Span,
-    /// Largest show speed factor at which the device's movements stay within its limits of speed and acceleration; infinite without such
-    /// limits.
+    /// Largest factor for the speed of the show at which the device's movements stay within its limits of speed and acceleration;
+    /// infinite without such limits.
     #[serde(skip)]
     pub factor_max: f64,
-    /// Like `factor_max`, but for the moves to the device's first keyframe from the positions in which other acts leave it.
+    /// Like `factor_max`, but for the moves to the device's first keyframe from the positions in which other acts leave the device.
     #[serde(skip)]
     pub entry_factor_max: f64,
-    /// Largest speed under position control that the device's block and the fleet file allow, in the device's unit per second.
+    /// Largest speed under position control that the device's block and the fleet file allow, in the device's unit per second; `None` if
+    /// it is unlimited.
     #[serde(skip)]
     pub speed_max: Option<f64>,
     /// Whether the device's speed between positions is unlimited, so that no movement is too fast for it.
@@ -257,7 +260,7 @@ impl Choreography {
         uses
     }
 
-    /// Returns the robot, the device and the position at which its first script begins. `None` if that script does not begin with
+    /// Returns the robot and the device of a first script, and the position at which the script begins. `None` if it does not begin with
     /// position control.
     #[must_use]
     pub fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
@@ -301,7 +304,8 @@ pub struct Plan {
     pub start_tolerance: Span,
     /// Time from sending the act to its start; `None` if the scenario does not prescribe it.
     pub lead: Option<Span>,
-    /// Leases of the scripts. If no pending lease is set, the scheduler computes one.
+    /// Leases of the scripts: how long a robot keeps them without contact with the scheduler. If no lease before the start (`pending`) is
+    /// set, the scheduler computes one.
     pub stop_condition: StopCondition,
     /// The robots that move, in the order of the fleet.
     pub robots: Vec<RobotPlan>,
@@ -323,7 +327,7 @@ pub struct DeviceScript {
     pub device: DeviceId,
     /// Command time at which the script starts, since the act's start.
     pub start: Millis,
-    /// Leases of the script.
+    /// Leases of the script: how long the robot keeps it without contact with the scheduler, before and after its start.
     pub stop_condition: StopCondition,
     /// Steps of the script.
     pub script: Script,
@@ -376,7 +380,7 @@ impl Act {
 }
 
 impl Plan {
-    /// Returns the time from the start of the act to its end, in command time.
+    /// Returns the time from the start of the act to the end of its last script, in command time (without the latencies of devices).
     #[must_use]
     pub fn duration(&self) -> Span {
         let scripts = self.robots.iter().flat_map(|robot| &robot.scripts);
@@ -442,7 +446,8 @@ impl Choreography {
         known.min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance))
     }
 
-    /// Returns the indices of the acts on the main line: the first act, then along `next` until an act is already listed.
+    /// Returns the indices of the acts on the main line: the first act, then the acts that follow by `next`. Stops at an act that is
+    /// already listed.
     #[must_use]
     pub fn main_line(&self) -> Vec<usize> {
         let mut line = Vec::new();

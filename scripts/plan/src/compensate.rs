@@ -50,7 +50,7 @@ pub fn undo(act: &mut Act) {
     shift(act, Span::ZERO - lead_in);
 }
 
-/// Returns the smallest sufficient lead-in for each act: no script begins before the act, and no motion begins before the motions of any
+/// Returns the smallest sufficient lead-in for each act: no script begins before its act, and no motion begins before the motions of any
 /// preceding act have ended. A device with a long latency still moves after its commands have ended.
 fn lead_ins(acts: &[Act]) -> Vec<Span> {
     let mut lead_ins: Vec<Span> = acts.iter().map(needed).collect();
@@ -70,7 +70,7 @@ fn needed(act: &Act) -> Span {
     early.max().unwrap_or_default().max(Span::ZERO)
 }
 
-/// Returns the time by which the last motion of an act ends later than its last command.
+/// Returns the time by which an act's last motion ends later than its last command.
 fn tail(act: &Act) -> Span {
     let ends = |script: &DeviceScript| script.start.span() + script.duration();
     let motions = scripts(act).map(|(script, _)| ends(script)).max();
@@ -100,7 +100,7 @@ fn moved(start: Millis, by: Span) -> Millis {
     if by == Span::ZERO { start } else { Millis::from_span(start.span() + by) }
 }
 
-/// Shifts everything in the act that is in motion time.
+/// Shifts all motion times of the act. Command times stay unchanged.
 fn shift(act: &mut Act, by: Span) {
     for cue in &mut act.cues {
         (cue.start, cue.end) = (cue.start + by, cue.end + by);

@@ -9,8 +9,8 @@ use urrcp::{DeviceId, RobotId, Span};
 
 use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
 
-/// Where several lines of acts lead to the same acts, each line processes this many of them again, with the scripts it left on the
-/// devices.
+/// Maximum number of acts that a line (acts that follow each other immediately) processes again after another line has processed them. It
+/// uses the scripts that it has left on the devices.
 const AGAIN: usize = 2;
 
 /// A script that its device can only receive once an earlier script has ended.
@@ -24,7 +24,7 @@ pub struct Refill {
     pub device: DeviceId,
     /// Index of the script among those of this device in this act, from 0.
     pub script: usize,
-    /// The script whose end makes room.
+    /// The script whose end makes room in the device's queue.
     pub freed_by: Freed,
     /// Available time from the end of `freed_by` to the deadline: the script's own start or, for the first one of an act, the end of the
     /// previous act.
@@ -33,7 +33,7 @@ pub struct Refill {
     pub kind: RefillKind,
 }
 
-/// A script whose end makes room for another one.
+/// A script whose end makes room for another one in the device's queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Freed {
     /// Index of the script's act in the choreography.
@@ -118,7 +118,7 @@ fn scripts_of(act: &Act) -> usize {
     act.plan.robots.iter().map(|robot| robot.scripts.len()).sum()
 }
 
-/// Returns the act that begins as soon as `act` ends.
+/// Returns the act that begins as soon as `act` ends; `None` if no act does.
 fn following(acts: &[Act], act: usize) -> Option<usize> {
     match acts[act].next {
         Way::Act(next) if acts.get(next)?.wait == Wait::Done => Some(next),
@@ -135,7 +135,7 @@ fn heads(acts: &[Act]) -> impl Iterator<Item = usize> {
     (0..acts.len()).filter(move |act| !follows[*act])
 }
 
-/// A script that was sent. Its end `ends` is relative to the start of the line of acts.
+/// A script that was sent. `ends` is the time of its end since the start of the line (the acts that follow each other immediately).
 struct Sent {
     what: Freed,
     ends: Span,

@@ -7,11 +7,11 @@ use urrcp::Span;
 /// The scenario's `require` section: bounds on the results of its trials. A bound that is `None` is not required.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Requirements {
-    /// Upper bound on the median true spread of starts.
+    /// Upper bound on the median, over all trials, of the true spread of starts (the time from the first start to the last).
     pub spread_p50: Option<Ceiling>,
-    /// Upper bound on the spread of starts in 99 of 100 trials.
+    /// Upper bound on the spread of starts (the time from the first start to the last) in 99 of 100 trials.
     pub spread_p99: Option<Ceiling>,
-    /// Upper bound on the spread of starts in all trials.
+    /// Upper bound on the spread of starts (the time from the first start to the last) in all trials.
     pub spread_max: Option<Ceiling>,
     /// Lower bound on the share of trials in which the mission starts.
     pub starts: Option<Floor<Share>>,
@@ -26,7 +26,8 @@ pub struct Requirements {
 /// How strictly a mission prevents a robot from starting alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AllOrNone {
-    /// Each robot acts on `pending_until`, so that no delayed message can start a script whose start was not decided.
+    /// Each robot acts on `pending_until`, the instant after which it drops a script that has not begun. No delayed message can then
+    /// start a script whose start was not decided.
     Strict,
 }
 

@@ -1,4 +1,4 @@
-//! Reads a tree key by key, and collects all findings. Variables are substituted where they are used.
+//! Reads a YAML tree key by key, and collects all findings. Variables are replaced by their values where they are used.
 
 mod across;
 mod cut;
@@ -35,52 +35,52 @@ pub use expressions::Robot;
 pub use expressions::tried;
 pub use nesting::{Name, Unset};
 
-/// Reads the values of a tree. It holds the findings so far, the variables in scope, and the tempo.
+/// Reads the values of a YAML tree. It holds the findings so far, the variables in scope, and the tempo.
 pub struct Reader {
     /// The findings so far.
     pub found: Vec<Pending>,
     /// The variables in scope.
     pub scope: Scope,
-    /// The tempo and start that give beats their meaning at the current place.
+    /// The tempo and the start of the cue that is being read, which convert bars and beats to times.
     pub music: Music,
-    /// Budget for the knots of the movements of all cues.
+    /// Budget for the knots (points of curves) in the movements of all cues.
     pub knots: Budget,
-    /// Parameters without a value in the current movement.
+    /// The parameters of moves that have no value in the movement that is being read.
     pub unset: Vec<Unset>,
-    /// Budget for the steps that evaluate expressions.
+    /// Budget for the steps in which expressions are evaluated.
     pub evaluations: Budget,
-    /// The robot whose movement is being read, if any.
+    /// The robot whose movement is being read, if any, and the results that depend on it.
     pub robots: Robots,
     /// The robots of the cue that is being read.
     pub group: Group,
     /// The moves and sequences that are being read, nested in one another.
     pub nesting: Nesting,
-    /// The time from which the times of cues count, as far as it is known.
+    /// The time from which the times of cues count, if it is known. It is the start of the act, or of the sequence that is being read.
     pub origin: Beginning,
     /// The devices of the fleet and their units, for hints.
     pub units: Units,
-    /// The keys of a cue, which hints about other maps also need.
+    /// The names of all keys that a cue may have, for hints about unknown keys.
     pub cue_keys: &'static [&'static str],
-    /// Whether the tempo is wrong, which is already reported.
+    /// Whether the tempo is wrong and has been reported, so that times in beats need no further finding.
     pub tempo_is_wrong: bool,
-    /// For each file, the first musical time without a tempo: the index of its finding, its message, and the places of all such times.
+    /// For each file, the first time in bars or beats that lacks a tempo. The value is the index of its finding, its message, and the
+    /// places of all such times.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
-    /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as the
-    /// suggested key.
+    /// Places that are already reported as wrong: values that a comma cut in two, and misspelt keys that are read as the suggested key.
     wrong: Vec<Place>,
-    /// Names of variables that are defined further below in the file.
+    /// The names of variables that are defined below the place that is being read.
     pub later: HashSet<String>,
-    /// The cues of other acts: the name of each cue, and its act.
+    /// For the name of each cue, the name of its act.
     pub act_of: HashMap<String, String>,
-    /// The remaining number of comparisons of names, for hints.
+    /// The number of names that may still be compared to find hints for misspelt names.
     comparisons: Cell<usize>,
-    /// The counts of errors and of warnings.
+    /// Counts of the errors and of the warnings.
     told: [Told; 2],
     /// Errors that are reported only if there are no other errors. Otherwise another error is their probable cause.
     follow_ups: Vec<Pending>,
-    /// By code and cause: the index of the finding that further faults with the same cause join.
+    /// The indices of findings that further faults with the same code and cause join.
     alike: HashMap<(Code, String), usize>,
-    /// The number of errors that have joined other findings.
+    /// The number of errors that were joined to earlier findings instead of being reported separately.
     joined: usize,
 }
 
@@ -88,12 +88,12 @@ pub struct Reader {
 #[derive(Clone, Copy, Default)]
 struct Told {
     count: usize,
-    /// The index of the last finding that is reported.
+    /// The index in [`Reader::found`] of the last finding that is reported.
     last: usize,
     more: usize,
 }
 
-/// A state of the reader's findings that [`Reader::forget`] can return to.
+/// A state of the reader's findings that [`Reader::forget`] can restore.
 pub struct FindingsMark {
     found: usize,
     told: [Told; 2],
@@ -130,7 +130,7 @@ impl Default for Reader {
 }
 
 impl Reader {
-    /// Adds a finding, unless this place is already reported as wrong.
+    /// Adds a finding, unless its place is already reported as wrong.
     pub fn add(
         &mut self,
         code: Code,
@@ -169,7 +169,8 @@ impl Reader {
         });
     }
 
-    /// Whether a musical time is the first one without a tempo in its file. Further such times are counted in the finding of the first.
+    /// Whether a time in bars or beats is the first one in its file that lacks a tempo. Further such times are only counted, in the
+    /// message of the first one.
     fn is_first_without_tempo(&mut self, place: &Place, message: &str) -> bool {
         if self.tempo_is_wrong {
             return false;
@@ -195,7 +196,7 @@ impl Reader {
         false
     }
 
-    /// Adds a fault of some robots. If a finding with the same code and cause exists, the fault joins it.
+    /// Adds a fault of some robots. If there is already a finding with the same code and cause, the robots are added to that finding.
     pub fn add_shared(&mut self, fault: SharedFault) {
         let key = (fault.code, fault.cause.clone());
         let known = self.alike.get(&key).and_then(|known| self.found.get_mut(*known));
@@ -214,7 +215,8 @@ impl Reader {
         }
     }
 
-    /// Adds a finding that would be repeated for each use of an item. Only the first finding with this cause is reported.
+    /// Adds a finding that would otherwise be repeated for each use of an item. Only the first finding with the same code and cause is
+    /// reported.
     pub fn add_once(
         &mut self,
         cause: String,
@@ -235,12 +237,12 @@ impl Reader {
         }
     }
 
-    /// Whether a finding with this cause has been reported.
+    /// Whether a finding with this code and cause has been reported.
     pub fn has(&self, code: Code, cause: &str) -> bool {
         self.alike.contains_key(&(code, cause.to_owned()))
     }
 
-    /// Adds a finding about another file, at the place that names that file.
+    /// Adds `about`, a finding about another file, at the place that names that file.
     pub fn add_named(&mut self, place: Place, about: Finding) {
         let Finding { code, message, expected, hint, .. } = about;
         self.add(code, place, message, expected, hint);
@@ -261,12 +263,12 @@ impl Reader {
         self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
     }
 
-    /// The current number of findings, for [`Self::forget`].
+    /// Marks the current state of the findings, for [`Self::forget`].
     pub fn mark(&self) -> FindingsMark {
         FindingsMark { found: self.found.len(), told: self.told, unset: self.unset.len() }
     }
 
-    /// Removes all findings after the mark.
+    /// Removes all findings that were added after the mark.
     pub fn forget(&mut self, mark: &FindingsMark) {
         self.found.truncate(mark.found);
         self.alike.retain(|_, index| *index < mark.found);
@@ -274,21 +276,21 @@ impl Reader {
         self.told = mark.told;
     }
 
-    /// Removes the findings from index `before` on whose code `keep` rejects.
+    /// Removes those findings from index `before` on for whose code `keep` returns false.
     pub fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
         self.alike.retain(|_, index| *index < before);
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
-    /// Adds a finding that is reported only if there are no other errors.
+    /// Adds a finding that is reported only if there are no errors. Otherwise an error is its probable cause.
     pub fn add_unless_others(&mut self, follow_up: Pending) {
         if self.follow_ups.len() < FINDINGS_MAX {
             self.follow_ups.push(follow_up);
         }
     }
 
-    /// Returns all reported findings. If there were too many, the last one states how many are not shown.
+    /// Returns all findings. If there were too many errors or warnings, the last one of them states how many are not shown.
     pub fn finish(mut self) -> Vec<Pending> {
         if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
             for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
@@ -308,7 +310,7 @@ impl Reader {
         self.found
     }
 
-    /// The number of errors so far, including those that have joined other findings.
+    /// Returns the number of errors so far, including those that were joined to earlier findings.
     pub const fn errors(&self) -> usize {
         self.told[0].count + self.told[0].more + self.joined
     }
@@ -318,7 +320,8 @@ impl Reader {
         self.told[0].count == FINDINGS_MAX
     }
 
-    /// A hint with the known name most similar to `wrong`, within the budget of comparisons.
+    /// Returns a hint with the known name that is most similar to `wrong`. `None` if no name is similar enough, or if too many names have
+    /// been compared.
     pub fn did_you_mean<'a>(&self, wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
         let mut left = self.comparisons.get();
         let hint = nearest(wrong, known, &mut left);
@@ -331,8 +334,8 @@ impl Reader {
         self.wrong_value(at, at.node, expected);
     }
 
-    /// Like [`Self::wrong_type`], but for a value that the node refers to. If it is a parameter of a move or a sequence, the finding is
-    /// at the place that assigns it.
+    /// Like [`Self::wrong_type`], but for `value`, to which the node refers by name. If that name is a parameter of a move or a sequence,
+    /// the finding is at the place that assigns the parameter.
     fn wrong_value(&mut self, at: &At<'_>, value: &Node, expected: &str) {
         if self.is_template(at, expected) {
             return;
@@ -343,8 +346,8 @@ impl Reader {
         self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
     }
 
-    /// Adds a finding about a value of the wrong type. It has two hints: for values in brackets, and for block style if that hint
-    /// differs.
+    /// Adds a finding about a value of the wrong type. The first hint is for values in brackets; the second one, if any, is for values in
+    /// block style (without brackets).
     pub fn add_styled(
         &mut self,
         place: Place,
@@ -359,7 +362,7 @@ impl Reader {
         }
     }
 
-    /// Reports braces of a template language, such as `{{ x }}`. Returns whether there are any.
+    /// Whether a node contains braces of a template language, such as `{{ x }}`. Adds a finding if it does.
     pub fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
         let Some(inner) = slips::template(at.node) else { return false };
         let message = format!("braces around `{}`", shortened(&inner));
@@ -372,12 +375,13 @@ impl Reader {
         true
     }
 
-    /// The values of the keys that are declared for a map. Adds findings for unknown, duplicate and missing keys.
+    /// Reads the keys that `K` declares for a map. Adds findings for unknown, duplicate and missing keys. `what` is the name of the map
+    /// in messages.
     pub fn keys<'a, K: Keys<'a>>(&mut self, at: &'a At<'a>, what: &str) -> Option<K> {
         self.values(at, what, K::NAMES, K::REQUIRED).map(K::of)
     }
 
-    /// The values of the known keys of a map, in the order of `known`.
+    /// Returns the values of the known keys of a map, in the order of `known`; `None` for each missing key.
     fn values<'a>(
         &mut self,
         at: &'a At<'a>,
@@ -460,7 +464,7 @@ impl Reader {
         Some(values)
     }
 
-    /// Whether a part of the scenario is misspelt or of the wrong type as a whole, so that its contents are unknown.
+    /// Whether `part`, a top-level key, is misspelt or its value has the wrong type, so that its contents are unknown.
     pub fn is_wrong(&self, part: &str) -> bool {
         let meant = did_you_mean_this(part);
         self.found.iter().any(|found| match (found.code, found.place.path.as_slice()) {
@@ -511,7 +515,7 @@ impl Reader {
         self.add(Code::DuplicateKey, at.key_place(), message, "unique keys", hint);
     }
 
-    /// The items of a list. Adds a finding for any other node and treats it as an empty list.
+    /// Returns the items of a list. If the node is not a list, adds a finding and returns no items.
     pub fn list<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<At<'a>> {
         match at.node {
             Node::List(items) => items.iter().enumerate().map(|(i, node)| at.item(i, node)).collect(),
@@ -523,7 +527,7 @@ impl Reader {
     }
 }
 
-/// Whether a variable can be used where a value described by `expected` belongs.
+/// Whether a variable may replace the value that `expected` describes: no list and no map.
 fn is_scalar(expected: &str) -> bool {
     !expected.starts_with("a list") && !expected.contains("a map")
 }

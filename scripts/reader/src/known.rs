@@ -1,5 +1,5 @@
-//! Records each list of keys or words that the reader compares with a document, with the place. Tests compare the schemas with these
-//! lists.
+//! Records each list of valid keys or words that the reader uses, and the place in the document where it uses the list. Tests compare the
+//! schemas with these lists.
 
 use std::cell::RefCell;
 
@@ -37,7 +37,7 @@ fn record(known: impl FnOnce() -> Known) {
     });
 }
 
-/// Runs `read`, and returns the lists that this thread records meanwhile.
+/// Runs `read`, and returns the lists that are recorded in this thread meanwhile.
 pub fn while_reading(read: impl FnOnce()) -> Vec<Known> {
     RECORDED.set(Some(Vec::new()));
     read();

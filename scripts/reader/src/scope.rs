@@ -1,4 +1,4 @@
-//! The variables in scope: those of the files, and the parameters of moves, which shadow them.
+//! The variables in scope: those that the files define, and the parameters of moves, which shadow variables of the same name.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -6,11 +6,11 @@ use std::sync::Arc;
 use downbeat_yaml::finding::Place;
 use downbeat_yaml::node::Node;
 
-/// Variables with their values, from the outermost to the innermost.
+/// Variables with their values. An inner variable shadows outer ones of the same name.
 #[derive(Clone, Debug, Default)]
 pub struct Scope {
     all: Vec<Variable>,
-    /// The indices in `all` of the variables with each name, the innermost last.
+    /// For each name, the indices in `all` of the variables with that name, innermost last.
     by_name: HashMap<String, Vec<usize>>,
 }
 
@@ -33,7 +33,7 @@ impl Scope {
         self.by_name.get(name).and_then(|places| places.last().copied())
     }
 
-    /// All names that have a value.
+    /// Returns the names of all variables in scope.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.all.iter().map(|variable| variable.name.as_str())
     }
@@ -59,12 +59,12 @@ impl Scope {
         self.last(name).and_then(|last| self.all[last].place.as_ref())
     }
 
-    /// The number of variables, for [`Self::forget`].
+    /// Returns a mark for [`Self::forget`] and [`Self::hide`]: the number of variables.
     pub fn mark(&self) -> usize {
         self.all.len()
     }
 
-    /// Removes and returns all variables set after the mark, for [`Self::restore`].
+    /// Removes all variables that were set after the mark. Returns them for [`Self::restore`].
     pub fn hide(&mut self, mark: usize) -> Vec<Variable> {
         let hidden = self.all.get(mark..).map(<[_]>::to_vec).unwrap_or_default();
         self.forget(mark);
@@ -76,7 +76,7 @@ impl Scope {
         hidden.into_iter().for_each(|variable| self.add(variable));
     }
 
-    /// Drops all variables set after the mark.
+    /// Drops all variables that were set after the mark.
     pub fn forget(&mut self, mark: usize) {
         for variable in self.all.drain(mark.min(self.all.len())..) {
             if let Some(places) = self.by_name.get_mut(&variable.name) {

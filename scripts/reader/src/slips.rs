@@ -1,4 +1,4 @@
-//! Hints for common mistakes: words, keys and forms of other programs, units, lists without brackets.
+//! Hints for common mistakes: words, keys and notations of other programs, numbers with units, lists without brackets.
 
 mod advice;
 mod keyframes;
@@ -19,12 +19,13 @@ use downbeat_yaml::finding::{Part, Place, did_you_mean_this};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// The devices of a fleet by name, each with its unit. The unit is `None` if robots with this device disagree about it.
+/// The devices of a fleet by name, each with its unit. The unit is `None` if it is not stated, or if it differs between robots with this
+/// device.
 #[derive(Debug, Default)]
 pub struct Units(HashMap<String, Option<String>>);
 
 impl Units {
-    /// Collects the devices of all robots. If several robots have a device, its unit is only known if it is the same on all of them.
+    /// Collects the devices of all robots. The unit of a device is only known if it is the same on all robots that have the device.
     pub fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
         let mut units: HashMap<String, Option<String>> = HashMap::new();
         for device in devices {
@@ -46,7 +47,7 @@ impl Units {
         self.0.contains_key(name)
     }
 
-    /// The device of the track that a place belongs to, and the unit of the device.
+    /// Returns the device under whose key in `tracks` or `limits` a place is, and the unit of the device if it is known.
     fn at<'p>(&self, place: &'p Place) -> Option<(&'p str, Option<&str>)> {
         let at = place
             .path
@@ -57,11 +58,11 @@ impl Units {
     }
 }
 
-/// Parts of names of easings that have no equivalent here.
+/// Words in the names of easings of other programs that Downbeat does not have.
 const OTHER_EASINGS: [&str; 9] =
     ["cubicbezier", "bounce", "elastic", "spring", "overshoot", "expo", "circ", "quad", "quart"];
 
-/// A hint for an unknown word.
+/// Returns a hint for the unknown word `wrong`. `known` are the words that are valid at that place.
 pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let plain: String = wrong.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase();
     let has = |word: &str| known.clone().any(|known| known == word);
@@ -150,7 +151,7 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
     Some(did_you_mean_this(meant))
 }
 
-/// A hint for a value of the wrong kind.
+/// Returns a hint for a value of the wrong type. `expected` describes the value that belongs there.
 pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected: &str) -> Option<String> {
     match node {
         Node::Text(text) if scope.get(text).is_some() => Some(format!("write the variable as `${text}`")),
@@ -318,7 +319,8 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
     }
 }
 
-/// The hint for a value of the wrong kind in block style, if it differs from the hint for brackets.
+/// Returns the hint for a value of the wrong type that is written in block style (without brackets). `None` if the hint of [`value`]
+/// applies there as well.
 pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
@@ -340,7 +342,7 @@ pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     }
 }
 
-/// A hint for words such as `yes` and `no`, which are texts.
+/// Returns a hint for a word such as `yes` or `no`, which YAML reads as text, in place of `true` or `false`.
 fn truth(text: &str, place: &Place) -> Option<String> {
     let is_mirror = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "mirror");
     let value = match text.to_lowercase().as_str() {
@@ -356,7 +358,7 @@ fn truth(text: &str, place: &Place) -> Option<String> {
 const ENDLESS: &str = "endless repetition is not supported: write a number or `{for: 60s}`; to repeat an act until the operator continues, add to \
                        the next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
 
-/// A hint for a number that must be above 0.
+/// Returns a hint for `value`, a number that must be above 0 but is not.
 pub fn not_positive(expected: &str, value: f64) -> Option<String> {
     match (expected.starts_with("a frequency"), value < 0.0) {
         (true, true) => Some(format!("write `{}`; `phase: 180` inverts the wave", -value)),
@@ -368,7 +370,7 @@ pub fn not_positive(expected: &str, value: f64) -> Option<String> {
     }
 }
 
-/// A hint for a list in place of a time.
+/// Returns a hint for a list where one time is expected.
 pub fn one_time(place: &Place, node: &Node) -> Option<String> {
     let Node::List(items) = node else { return None };
     let time = |item: &Node| match item {
@@ -385,7 +387,7 @@ pub fn one_time(place: &Place, node: &Node) -> Option<String> {
     }
 }
 
-/// A hint for an endless or a negative time. It depends on the key of the time.
+/// Returns a hint for an endless or a negative time. It depends on the key that has this time.
 pub fn time(place: &Place, text: &str) -> Option<String> {
     let keys: Vec<&str> = place
         .path
@@ -419,7 +421,7 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
     }
 }
 
-/// A hint for an instant, a date or a time of day in place of a duration.
+/// Returns a hint for an instant, a date or a time of day where a duration is expected.
 pub fn instant(text: &str) -> String {
     let is_day = text.len() == 10 && text.as_bytes().get(4) == Some(&b'-');
     let at = match () {
@@ -432,7 +434,7 @@ pub fn instant(text: &str) -> String {
     )
 }
 
-/// A hint for an invalid number of repetitions: below 1, infinite, or with a fraction.
+/// Returns a hint for an invalid number of repetitions: 0, negative, infinite, or with a fraction.
 pub fn times(place: &Place, value: f64) -> Option<String> {
     match value {
         _ if !is_repeat(place) => None,
@@ -446,12 +448,12 @@ pub fn times(place: &Place, value: f64) -> Option<String> {
     }
 }
 
-/// Whether the place is the value of `repeat` or of `times`.
+/// Whether the place is the value of a key `repeat` or `times`.
 fn is_repeat(place: &Place) -> bool {
     matches!(place.path.last(), Some(Part::Key(key, _)) if key == "repeat" || key == "times")
 }
 
-/// Parses a length such as `3m` or `30cm`, in metres.
+/// Parses a length such as `3m` or `30cm`, and converts it to metres.
 fn metres(text: &str) -> Option<f64> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let (_, scale) = LENGTHS.iter().find(|(unit, _)| text[digits.len()..] == **unit)?;
@@ -464,7 +466,7 @@ fn is_endless(text: &str) -> bool {
         .contains(&text.to_lowercase().as_str())
 }
 
-/// Splits a list without brackets into words: `left, right`, `left and right`, `left right`.
+/// Splits a list that lacks brackets into words: `left, right`, `left and right`, `left right`.
 pub fn words(text: &str) -> Vec<String> {
     let plain = text.trim_matches(['[', ']', '{', '}']).replace(" and ", ",").replace(['&', '+', ';'], ",");
     let separator = if plain.contains(',') { ',' } else { ' ' };
@@ -472,7 +474,7 @@ pub fn words(text: &str) -> Vec<String> {
     words.map(str::to_owned).collect()
 }
 
-/// A hint for a text that contains several known names, or one in quotation marks that YAML keeps.
+/// Returns a hint for a text that contains several known names, or one known name in quotation marks that YAML does not remove.
 pub fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| is_same(known, name));
     let words = match text.split_once('-') {
@@ -495,7 +497,8 @@ pub fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clon
     (comments && is_known(name)).then(|| format!("a comment begins with `#`: `{name} # ...`"))
 }
 
-/// The text within the braces of `{{ x }}` (which YAML reads as a map whose key is a map), of `"{{ x }}"`, or of `{$x}`.
+/// Returns the text within the braces of `{{ x }}`, `"{{ x }}"` or `{$x}`; `None` for any other node. YAML reads `{{ x }}` as a map whose
+/// key is a map.
 pub fn template(node: &Node) -> Option<String> {
     let inner = match node {
         Node::Text(text) => text.trim().strip_prefix("{{")?.strip_suffix("}}")?,
@@ -510,7 +513,7 @@ pub fn template(node: &Node) -> Option<String> {
     (!inner.is_empty() && !inner.contains(['{', '}'])).then(|| inner.to_owned())
 }
 
-/// Adds `$` before each name that is a variable, or before the whole text if it is one word.
+/// Returns the text with `$` before each name of a variable. A text of one word always gets a `$`.
 pub fn bare(scope: &Scope, inner: &str) -> String {
     let is_part = |c: char| c.is_alphanumeric() || c == '_';
     if inner.chars().all(is_part) && !inner.starts_with(|c: char| c.is_ascii_digit()) {
@@ -527,7 +530,7 @@ pub fn bare(scope: &Scope, inner: &str) -> String {
     written
 }
 
-/// A hint for coordinates as a map, such as `{x: 0, y: 0, z: 3}`.
+/// Returns a hint for coordinates that are written as a map, such as `{x: 0, y: 0, z: 3}`.
 fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     let value = |axis: &str| match entries.iter().find(|(key, _)| key == axis) {
         Some((_, Node::Number(value))) => Some(*value),
@@ -538,17 +541,17 @@ fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     Some(format!("write `[{x}, {y}, {z}]`"))
 }
 
-/// Words for the values of a device. The values themselves are always numbers.
+/// Words that users write as values of a device, where only numbers are valid.
 const STATES: [&str; 12] =
     ["on", "off", "yes", "no", "min", "max", "home", "default", "open", "closed", "high", "low"];
 
-/// Whether the place is the value of a keyframe.
+/// Whether the place is the value (`to`) of a keyframe in `tracks`.
 fn is_value(place: &Place) -> bool {
     matches!(place.path.last(), Some(Part::Key(key, _)) if key == "to")
         && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
 }
 
-/// A hint for a list in place of a number: `radius: [1, 2]`.
+/// Returns a hint for a list where one number is expected: `radius: [1, 2]`.
 fn one_number(place: &Place, items: &[Node]) -> String {
     let key = place.path.iter().rev().find_map(|part| match part {
         Part::Key(key, _) => Some(key.as_str()),
@@ -565,7 +568,7 @@ fn one_number(place: &Place, items: &[Node]) -> String {
     }
 }
 
-/// A hint for a number in place of a list or of a map with several keys: `points: 3`, `wave: 20`.
+/// Returns a hint for a number where a list or a map with several keys is expected: `points: 3`, `wave: 20`.
 fn in_a_list(expected: &str, value: f64) -> Option<String> {
     let begins = |begin: &str| expected.starts_with(begin);
     if begins("a list of places") || begins("a list of points such as [") {
@@ -597,7 +600,7 @@ fn in_a_list(expected: &str, value: f64) -> Option<String> {
         .then(|| format!("add the time at which the sensor is read: `{{SENSOR: {value}s}}`"))
 }
 
-/// A hint for a number in place of a map with one usual key: `limits: {elbow: 90}`, `circle: 4`.
+/// Returns a hint for a number where a map is expected that usually has one key: `limits: {elbow: 90}`, `circle: 4`.
 fn in_a_map(expected: &str, value: f64) -> Option<String> {
     let (what, keys) = expected.split_once(": a map with `")?;
     let of_one_number = ["limits", "`line`", "`circle`", "`grid`", "`v`", "`sphere`"];
@@ -605,7 +608,7 @@ fn in_a_map(expected: &str, value: f64) -> Option<String> {
     Some(format!("write `{{{key}: {value}}}`"))
 }
 
-/// The red, green and blue values, up to 255, of a colour such as `red` or `#ff8800`.
+/// Returns the red, green and blue values (0 to 255) of a colour such as `red` or `#ff8800`; `None` for any other text.
 fn colour(text: &str) -> Option<[u8; 3]> {
     const NAMED: [(&str, [u8; 3]); 8] = [
         ("red", [255, 0, 0]),
@@ -625,7 +628,7 @@ fn colour(text: &str) -> Option<[u8; 3]> {
     Some([r, g, b])
 }
 
-/// A hint that lists the robots of a range, `d1-d6` or `d1..d6`, or those whose names have a common prefix, `d*`.
+/// Returns a hint that lists the robots of a range, such as `d1-d6` or `d1..d6`, or of a prefix, such as `d*`.
 pub fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let listed: Vec<&str> = match text.strip_suffix('*') {
         Some(begin) => ids.filter(|id| id.starts_with(begin)).collect(),
@@ -646,7 +649,7 @@ pub fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clon
     (2..=LISTED_MAX).contains(&listed.len()).then(|| format!("write a list: `[{}]`", listed.join(", ")))
 }
 
-/// A hint for a reference to the cue above, or to a cue by its number.
+/// Returns a hint for a reference to the previous cue, such as `previous`, or to a cue by its number.
 pub fn earlier_cue(text: &str) -> Option<String> {
     let is_number = text.parse::<u32>().is_ok();
     let is_above = ["previous", "prev", "last", "before", "above"].contains(&text);
@@ -654,7 +657,7 @@ pub fn earlier_cue(text: &str) -> Option<String> {
         .then(|| "give that cue a name, such as `cue: rise`, and refer to it: `after: rise`".to_owned())
 }
 
-/// A hint for a range that matches no robots of the fleet: `r1-r3`, `1..3` or `arms[0]`.
+/// Returns a hint for a range whose robots cannot be listed: `r1-r3`, `1..3` or `arms[0]`.
 pub fn as_a_range(text: &str) -> Option<String> {
     let ends_in_digit = |part: &str| part.ends_with(|c: char| c.is_ascii_digit());
     let is_range = text.contains("..")
@@ -668,21 +671,21 @@ pub fn as_a_range(text: &str) -> Option<String> {
 /// Maximum number of robots that a hint lists.
 const LISTED_MAX: usize = 20;
 
-/// Whether `expected` describes a number or several numbers.
+/// Whether `expected`, the description of a value in a message, is about one or several numbers.
 fn names_number(expected: &str) -> bool {
     ["number", "device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
         .iter()
         .any(|word| expected.contains(word))
 }
 
-/// Whether `expected` describes a single number.
+/// Whether `expected`, the description of a value in a message, is about a single number.
 fn wants_number(expected: &str) -> bool {
     names_number(expected)
         && !expected.contains('[')
         && !["a list", "a map", "texts"].iter().any(|word| expected.contains(word))
 }
 
-/// A hint for a number with thousands separators: `1,000` and `1,000.5`.
+/// Returns a hint for a number with thousands separators, such as `1,000` or `1,000.5`.
 fn of_thousands(text: &str) -> Option<String> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let mut groups = whole.trim_start_matches('-').split(',');
@@ -702,7 +705,7 @@ fn of_thousands(text: &str) -> Option<String> {
     }
 }
 
-/// A hint for a number in a form that a human would understand: `45,5`, `45deg`, `"45"`.
+/// Returns a hint for a number in a form that only people understand: `45,5`, `45deg`, `"45"`.
 fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<String> {
     let wants = |word: &str| expected.contains(word);
     if !names_number(expected) {
@@ -763,7 +766,7 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
     ))
 }
 
-/// Whether a text is a rate such as `90deg/s`: a number with a unit per time, not a quotient.
+/// Whether a text is a rate such as `90deg/s`, that is, a number with a unit per second, and not a division.
 pub fn is_rate(text: &str) -> bool {
     let number =
         text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || matches!(c, '.' | '-')).trim();
@@ -781,7 +784,8 @@ const ANGLES: [(&str, f64); 4] = [
     ("degrees", std::f64::consts::PI / 180.0),
 ];
 
-/// A hint with a value converted from the unit `from` to the unit `to`, to four decimals.
+/// Returns a hint with a value converted from the unit `from` to the unit `to` and rounded to four decimals. `None` if `scales` lacks a
+/// unit.
 fn converted(value: f64, from: &str, to: &str, scales: &[(&str, f64)]) -> Option<String> {
     let scale = |unit: &str| scales.iter().find(|(known, _)| *known == unit).map(|(_, scale)| *scale);
     let value = value * scale(from)? / scale(to)?;

@@ -18,7 +18,7 @@ use crate::scenario::Act;
 use crate::sensor_range::SensorRange;
 use crate::shown::shortened;
 
-/// When an act begins, and where its transitions lead.
+/// What an act waits for before it begins, and the acts to which its transitions lead.
 pub(super) struct Ways {
     pub(super) wait: Wait,
     pub(super) on_timeout: Way,
@@ -26,7 +26,7 @@ pub(super) struct Ways {
     pub(super) on_failure: FailurePolicy,
 }
 
-/// Returns the transitions of each act. `complete` is whether all acts could be read, so that the graph can be checked.
+/// Returns the transitions of each act. `complete` states whether all acts could be read; only then can the graph be checked.
 pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complete: bool) -> Vec<Ways> {
     let before = findings.found.len();
     same_names(findings, acts);
@@ -92,7 +92,7 @@ fn way(
     Ways { wait, on_timeout, next, on_failure: policy }
 }
 
-/// Whether the budget allows a rule for this many robots: each act has its own rule for each of them.
+/// Whether the budget has room for the failure rules of `act`: each act has a separate rule for each of `robots` robots.
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {
@@ -137,7 +137,7 @@ impl ByName<'_> {
     }
 }
 
-/// Returns the sensor for which an act waits, and its robot.
+/// Returns the sensor whose reading an act waits for, and the robot that has the sensor.
 fn check_sensor<'c>(
     findings: &mut Reader,
     cast: &Cast<'c>,
@@ -162,7 +162,7 @@ fn check_sensor<'c>(
     Some((*robot, found?))
 }
 
-/// Checks that the sensor's range includes a reading for which the act waits.
+/// Checks that the sensor's range includes a reading that would end the act's wait.
 fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &SensorRange) {
     let Some(sensor) = device.available_control_types.sensor() else { return };
     let (least, most) = (sensor.min_value, sensor.max_value);
@@ -213,8 +213,8 @@ where
     std::iter::from_fn(|| search.next(graph)).collect()
 }
 
-/// Returns the groups of mutually reachable acts among the chosen ones, in the order of the file. Omits a group if a transition in
-/// `direction` connects it with a chosen act outside the group.
+/// Returns the groups of chosen acts that can all reach each other, in the order of the file. Omits each group that a transition in
+/// `direction` connects with a chosen act outside the group.
 fn circles(
     graph: &DiGraph<(), ()>,
     is_chosen: impl Fn(NodeIndex) -> bool,

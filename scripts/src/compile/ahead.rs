@@ -16,9 +16,9 @@ use crate::fields::Reader;
 use crate::motion::Fits;
 use crate::scenario::{Cue, Motion, Movement};
 
-/// Minimum number of sections for fitting on several threads: for fewer, starting threads takes longer than fitting.
+/// Minimum number of curve sections for fitting on several threads: with fewer, starting threads takes longer than fitting.
 pub(super) const WAYS_MIN: usize = 500;
-/// Maximum number of sections for fitting ahead: with more, some fits might never be used.
+/// Maximum number of curve sections that are fitted ahead: with more, some fits might never be used.
 const WAYS_MAX: usize = 1_000_000;
 /// Maximum number of threads for fitting.
 const THREADS_MAX: usize = 16;
@@ -30,14 +30,14 @@ pub(super) struct Timed<'a> {
     pub(super) time: &'a CueTime,
 }
 
-/// Robots of a cue that share a movement. `ways` is the number of its sections between two knots that must be fitted.
+/// Robots of a cue that share a movement. `ways` is the number of sections of the movement (parts between two knots) that must be fitted.
 struct Share<'a> {
     timed: &'a Timed<'a>,
     members: Cow<'a, Members>,
     ways: usize,
 }
 
-/// Returns the number of sections between two knots that must be fitted.
+/// Returns the number of sections (parts between two knots) of these movements that must be fitted.
 fn ways<'m>(movements: impl Iterator<Item = &'m Movement>) -> usize {
     let fitted = movements.flat_map(|movement| &movement.tracks).filter_map(|track| match &track.motion {
         Motion::Curve(curve) => {
@@ -66,7 +66,7 @@ fn shares<'a>(timed: &'a Timed<'a>) -> Vec<Share<'a>> {
     all.chunk_by(|a, b| a.movement == b.movement).map(share).collect()
 }
 
-/// Fits the curves of all cues on as many threads as there are processors. Empty if this would not save time.
+/// Fits the curves of all cues on as many threads as there are processors. Returns no fits if this would not save time.
 pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     let mut wanted: Vec<Share<'_>> = cues.iter().flat_map(shares).collect();
     wanted.retain(|share| share.ways > 0);
@@ -86,8 +86,8 @@ pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     })
 }
 
-/// Distributes tasks over several threads until a task returns `false`, and joins the fits of all threads. Empty if there is only one
-/// processor.
+/// Distributes tasks over several threads until a task returns `false`, and merges the fits of all threads. Returns no fits if there is
+/// only one processor.
 pub(super) fn together<T: Sync>(tasks: &[T], task: impl Fn(&T, &mut Fits) -> bool + Sync) -> Fits {
     let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX).min(tasks.len());
     if threads < 2 {

@@ -16,25 +16,26 @@ use crate::render::counted;
 use crate::scenario::{AtEnd, Scenario};
 
 const NAME: &str = "home";
-/// The shortest duration computed for such an act, in seconds.
+/// The shortest duration that is computed for an act that moves devices home, in seconds.
 const OVER_MIN: f64 = 1.0;
 /// The duration of a linear movement of a device without a speed limit, in seconds.
 const OVER_WITHOUT_LIMITS: f64 = 5.0;
-/// Maximum number of added acts. Each of them is compiled separately, for the whole fleet.
+/// Maximum number of acts that `at_end` adds. Each of them is compiled separately, for the whole fleet.
 const HOMES_MAX: usize = 32;
-/// Fraction that is added to the duration from the formula, because some steps on a grid are faster.
+/// Margin that is added to the shortest duration within the limits, as a fraction of it: on a grid, some steps are faster than the smooth
+/// movement.
 const SLACK: f64 = 0.02;
 
 /// Positions in which acts leave devices. Keys are indices of acts.
 #[derive(Default)]
 pub(super) struct Rests {
-    /// Positions after the act has ended.
+    /// Positions after a regular end of the act.
     pub(super) ended: HashMap<usize, Rest>,
-    /// Positions after the act's wait has timed out, if the mission ends then.
+    /// Positions after a timeout of the act's wait, if the mission ends then.
     pub(super) timed_out: HashMap<usize, Rest>,
 }
 
-/// Adds one act for each set of positions in which the mission may end.
+/// Adds an act that moves devices home for each set of positions in which the mission may end.
 pub(super) fn go_home(
     findings: &mut Reader,
     scenario: &Scenario,
@@ -73,8 +74,8 @@ struct Homes<'a> {
 }
 
 impl Homes<'_> {
-    /// Returns the transition out of `act`, which leaves devices in the positions `rest`. `None` if nothing has to move, or after a
-    /// finding.
+    /// Returns the transition from `act`, which leaves devices in the positions `rest`, to an act that moves them home. Adds this act if
+    /// no earlier one is suitable. `None` if nothing has to move, or after a finding.
     fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
         let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
         let rule = |act: &Act| (act.on_failure.default, act.on_failure.robots.clone(), act.on_doubt);

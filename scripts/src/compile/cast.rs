@@ -23,7 +23,7 @@ const LISTED_TWICE: &str = "remove the second one; a group includes all of its r
 pub(super) struct Cast<'a> {
     pub(super) fleet: &'a Fleet,
     roles: &'a HashMap<String, Vec<Name>>,
-    /// Index of each robot, by its composed name.
+    /// Index of each robot in the fleet, by the robot's name in Unicode normalization form C.
     index_of: HashMap<Cow<'a, str>, usize>,
     /// Kind of each robot; robots of the same kind have the same devices and limits.
     kinds: Vec<usize>,
@@ -35,9 +35,10 @@ pub(super) struct Cast<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     pub(super) robot: usize,
-    /// 0: the cue's own movement; 1 and up: its overrides, in order; above those: the movements of single robots.
+    /// Number of the robot's movement: 0 for the cue's own movement, from 1 for its overrides in order, then for the movements of single
+    /// robots.
     pub(super) movement: usize,
-    /// Delay of the robot's start after the start of the cue.
+    /// Delay of the robot's start, since the start of the cue.
     pub(super) delay: Span,
 }
 
@@ -47,7 +48,7 @@ pub(super) struct Members {
     pub(super) all: Vec<Member>,
     /// The largest delay of all robots.
     pub(super) delay: Span,
-    /// Duration of the longest movement, before stretching.
+    /// Duration of the longest movement as written, before the cue is stretched to its planned duration.
     pub(super) length: Span,
 }
 
@@ -312,7 +313,7 @@ fn unset_parameter(findings: &mut Reader, unset: &Unset) {
     );
 }
 
-/// Returns the delay of each robot, if the last robot begins before the horizon.
+/// Returns the delays of the robots. If the last robot would begin after the horizon, reports this and returns no delays.
 fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) -> Cow<'c, Canon> {
     let last = match &cue.canon {
         Canon::Even(_) => cue.canon.delay(robots.saturating_sub(1).max(1)),
@@ -369,7 +370,7 @@ pub(super) struct Positions<'a> {
 /// Which transitions lead into an act, apart from the end of a preceding act.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct OtherWays {
-    /// Whether the act can follow a failure that sends all devices to their default state.
+    /// Whether the act can follow a failure after which all devices go to their default state.
     home: bool,
     /// Whether the act can follow another failure, a timeout, or a return from a later act, after which positions are unknown.
     elsewhere: bool,
@@ -398,7 +399,8 @@ impl<'a> Positions<'a> {
         Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first, others }
     }
 
-    /// Returns the positions after the act, in which `moved` devices were moved. All other devices stay where they are.
+    /// Returns the positions after the act. `moved` contains the positions of the devices that the act moved; all others stay where they
+    /// are.
     pub(super) fn left_by(&self, mut moved: Rest) -> Rest {
         for &(robot, device) in self.before.iter().flat_map(|rest| rest.keys()) {
             moved.entry((robot, device)).or_insert_with(|| {

@@ -7,7 +7,7 @@ use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Checks formations that list their own places; the places of other shapes depend on the number of robots.
+/// Checks formations that list their places in the file. The places of all other formations depend on the number of robots.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     let mut written: Vec<_> = scenario.formations.iter().collect();
     written.sort_unstable_by_key(|(name, _)| name.as_str());
@@ -24,7 +24,7 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     }
 }
 
-/// Returns the common cause of findings about places of this formation that are too close for any two of its robots.
+/// Returns the text that identifies the cause of findings about a formation with places that are too close to each other.
 pub(super) fn crowded(name: &str) -> String {
     format!("places of {name}")
 }

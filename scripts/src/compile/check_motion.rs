@@ -11,15 +11,15 @@ use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::{Between, Curve, Easing, Knot, Shape};
 
-/// Factor by which a rate may exceed its limit because of rounding.
+/// Factor by which a speed or acceleration may exceed its limit because of rounding errors.
 const DUST: f64 = 1.0 + 1e-6;
 
-/// Checks the first and second derivative in each section between two knots.
+/// Checks the first and second derivative in each section (part between two knots).
 ///
 /// In a section with linear motion, the device moves at the section's mean speed. Where two such sections meet, the acceleration is the
 /// change of speed divided by the mean of their lengths (the second divided difference).
 ///
-/// Returns the largest show speed factor at which the movement stays within these limits.
+/// Returns the largest show speed factor (speed of the show relative to the file) at which the movement stays within these limits.
 pub(super) fn check(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -82,22 +82,23 @@ impl Rate {
         self.limit.is_some_and(|limit| self.found > limit * DUST)
     }
 
-    /// Largest show speed factor at which the rate stays within its limit. Speeds are proportional to the factor, accelerations to its
-    /// square.
+    /// Returns the largest show speed factor (speed of the show relative to the file) at which the rate stays within its limit. Speeds
+    /// are proportional to the factor, accelerations to its square.
     fn factor_max(&self, control_type: ControlType) -> f64 {
         let room = self.limit.filter(|_| self.found > 0.0).map_or(f64::INFINITY, |limit| limit / self.found);
         let is_speed = control_type == ControlType::Position && self.code == Code::TooFast;
         if is_speed { room } else { room.sqrt() }
     }
 
-    /// Factor by which the movement must be longer to stay within the limit.
+    /// Returns the factor by which the movement must be longer to stay within the limit.
     fn longer(&self) -> f64 {
         let over = self.limit.map_or(1.0, |limit| self.found / limit);
         if self.code == Code::TooFast { over } else { over.sqrt() }
     }
 }
 
-/// Reports all limits that a section between two knots exceeds in one finding, with a duration that keeps all of them.
+/// Reports all limits that a section between two knots exceeds in a single finding. The finding suggests a duration that satisfies all of
+/// them.
 fn too_much(
     findings: &mut Reader,
     on: &OnDevice<'_>,

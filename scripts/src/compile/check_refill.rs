@@ -11,11 +11,12 @@ use crate::render::counted;
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Upper bound on the time to send a script during its act on ordinary links: a round trip, and a resend after a loss.
+/// Time within which a script can be sent during its act on an ordinary link: a round trip, and a resend after a loss.
 const SENDING: Span = Span::from_millis(100);
-/// Upper bound on the time to prepare an act on fast links: its scripts are sent and decided, and leases may expire before the start.
+/// Time within which an act can be prepared on fast links: its scripts are sent and the start is decided, and leases may first have to
+/// expire.
 const PREPARING: Span = Span::from_millis(500);
-/// Number of larger queues tried for a hint.
+/// Number of larger script queues that are tried for a hint.
 const QUEUES_TRIED: u32 = 4;
 /// Maximum number of findings for which larger queues are tried.
 const TRIALS_MAX: usize = 16;
@@ -62,7 +63,7 @@ impl Lines<'_> {
         Some(device.script_queue.max(1))
     }
 
-    /// Returns the smallest larger queue that gives the device enough time in every act.
+    /// Returns the smallest queue that gives the device enough time in every act, among the larger queues that are tried.
     fn queue_that_does(&self, refill: &Refill) -> Option<u32> {
         let queue = self.queue(&refill.robot, &refill.device)?;
         let does = |queue: &u32| {
@@ -205,7 +206,7 @@ mod tests {
         format!("scenario: s\nacts:\n{}", steps.iter().enumerate().map(act).collect::<String>())
     }
 
-    /// Returns the codes and lines of the findings about refills.
+    /// Returns the code and the line of each finding about scripts that must be sent during an act.
     fn found(scenario: String, fleet: &Fleet) -> Vec<(&'static str, usize)> {
         let compiled = compile(&Source { name: "s.yaml".into(), text: scenario }, fleet, &crate::NoFiles);
         let refills =

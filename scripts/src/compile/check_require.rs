@@ -6,8 +6,8 @@ use crate::finding::Code;
 use crate::plan::Choreography;
 use crate::scenario::Scenario;
 
-/// Warns if the closest approach is smaller than required. This is no error: `check` and `dry-run` check requirements, while limits in
-/// the fleet file (`space`) prevent a mission.
+/// Warns if the closest approach is smaller than required. This is only a warning, because `check` and `dry-run` check requirements. Only
+/// limits in the fleet file (`space`) prevent a mission.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, choreography: &Choreography) {
     let (Some(floor), Some(place)) = (scenario.requirements.closest, &scenario.closest_place) else { return };
     let Some((act, closest)) = choreography.closest().filter(|(_, closest)| !floor.holds(closest.distance))

@@ -20,7 +20,7 @@ use crate::space::{
     depth, first_contact, furthest_out,
 };
 
-/// Maximum number of consecutive knots that a path for drawing omits.
+/// Maximum number of consecutive knots that are omitted when a path is simplified for drawing.
 const LEFT_OUT_MAX: usize = 200;
 /// Rounding error of the distance between two balls, in metres.
 const ROUNDING: f64 = 1e-9;
@@ -125,8 +125,9 @@ impl Stage<'_> {
         self.cast.id(robot).as_str()
     }
 
-    /// Returns the distance, in metres, by which grids may bring two bodies of the same formation closer. This is half a grid step of
-    /// each device for its place, and half a grid step for its steps. The movements into a formation already allow for everything else.
+    /// Returns the distance, in metres, by which the device grids may bring two bodies of the same formation closer to each other. Each
+    /// device contributes one grid step: half of it for its place, half for its steps. The movements into a formation already allow for
+    /// all other deviations.
     fn by_grids(&self, cues: [Option<usize>; 2], robots: [usize; 2]) -> f64 {
         let [Some(cue), Some(other)] = cues else { return 0.0 };
         let group = self.act.cues[cue].group.as_ref().filter(|_| cue == other);
@@ -219,7 +220,7 @@ fn rates(
     BodyUse { robot: stage.cast.id(robot).clone(), speed, acceleration }
 }
 
-/// Reports robots whose bodies have an unknown position, in one warning for all that become known at the same time.
+/// Reports robots whose bodies have an unknown position. A single warning lists all robots whose positions become known at the same time.
 fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
     let is_driven =
         |robot: usize| stage.cast.fleet.robots[robot].body.as_ref().is_some_and(|body| body.drive.is_some());

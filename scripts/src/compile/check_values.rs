@@ -14,7 +14,7 @@ use crate::shown::shortened;
 
 /// Number of samples in a section between two knots.
 const SAMPLES: u32 = 128;
-/// Share of the granularity. Smaller differences are ignored if both values are printed alike.
+/// Share of the granularity: a deviation up to this share is ignored if both values are printed alike.
 const DUST: f64 = 1e-3;
 
 /// Returns the place of an item in a track's list; if the item has no place of its own, that of the list.
@@ -158,13 +158,13 @@ fn between(limits: &Limits) -> String {
     format!("{} to {}", limits.min_value, limits.max_value)
 }
 
-/// Returns the change that the cue makes to the track, if the value would be within the limits without it.
+/// Returns the change that the cue makes to the track, if the value would be within the limits without this change.
 fn blamed<'t>(track: &'t Track, value: f64, limits: &Limits) -> Option<&'t Changed> {
     let sound = |changed: &&Changed| limits.contains(limits.nearest(changed.undone(value)));
     track.changed.as_ref().filter(sound)
 }
 
-/// Suggests another factor, or value for mirroring, that keeps the whole movement within the limits.
+/// Suggests another factor (or, for a mirrored movement, another mirror value) that keeps the whole movement within the limits.
 fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits) -> Option<String> {
     let values = || curve.knots.iter().map(|knot| changed.undone(knot.to));
     match changed.change {
@@ -211,7 +211,7 @@ struct Moved {
     from: f64,
     to: f64,
     granularity: f64,
-    /// The largest deviation that the device itself permits.
+    /// The largest deviation from the written value that the device itself permits.
     allowed: f64,
 }
 
@@ -230,8 +230,8 @@ impl Moved {
         (self.to - self.from).abs()
     }
 
-    /// Whether the value and the grid value are printed alike: computed doubles are rarely exactly the decimal numbers that they
-    /// represent.
+    /// Whether the value and the grid value are printed alike. Their difference may only be a rounding error, because few decimal numbers
+    /// have an exact `f64`.
     fn is_dust(&self) -> bool {
         tidy(self.from) == tidy(self.to) && self.off() <= DUST * self.granularity
     }
@@ -254,7 +254,7 @@ impl Moved {
     }
 }
 
-/// Reports a value whose distance from the grid exceeds `max_error`. Returns whether it exceeds it.
+/// Reports a value whose distance from the grid exceeds the permitted error. Returns whether it does.
 fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
     let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
     if moved.off() <= allowed {
@@ -411,7 +411,7 @@ fn figure(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
-/// Checks values of custom_N against the limits that the script inherits, if any. No other limits apply to them.
+/// Checks values of `custom_N` against the limits that the script inherits, if any. `custom_N` has no other limits.
 pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &Vectors) {
     let Some(script) = on.device.available_control_types.script() else { return };
     for vector in vectors.iter() {

@@ -9,7 +9,7 @@ use crate::duration::written;
 use crate::finding::{Code, Part, Pending, Place, names};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
 
-/// Maximum number of reported links of a chain.
+/// Maximum number of bounds that are reported for one chain of contradictory bounds.
 const LINKS_MAX: usize = 24;
 
 /// The origin of a timing constraint in the scenario.
@@ -19,7 +19,7 @@ pub(super) enum Origin {
         cue: usize,
         relation: Relation,
     },
-    /// The duration of a cue. Its last robot begins after `delay`, which prolongs the cue.
+    /// The duration of a cue. The last robot of the cue begins after `delay`, which prolongs the cue.
     Length {
         cue: usize,
         delay: Span,
@@ -211,7 +211,7 @@ impl Teller<'_> {
         }
     }
 
-    /// Describes how to correct a bound, as an edit if one suffices; `None` if the bound would disappear.
+    /// Describes how to correct a bound, as an edit if a single one suffices. `None` if the bound would disappear.
     fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> Option<String> {
         Some(match origin {
             Origin::Length { cue, delay, .. } => return self.fixes_length(*cue, *delay, link, by),
@@ -252,7 +252,7 @@ impl Teller<'_> {
         (length > Span::ZERO).then(|| format!("{verb} {name} by {}: `duration: {duration}`", written(by)))
     }
 
-    /// Replaces the names of cues by their names within the sequence's own file.
+    /// Returns a relation with the names that its cues have within the file of their sequence, without the prefix that the scenario adds.
     fn in_its_file(&self, cue: usize, relation: &Relation) -> Relation {
         let mut relation = relation.clone();
         if relation.place.used.is_some() {
@@ -301,7 +301,7 @@ impl Teller<'_> {
     }
 }
 
-/// Whether a relation is written in the file, under one of the keys for relations.
+/// Whether the file states the relation under one of the keys for relations.
 fn is_written(relation: &Relation) -> bool {
     let keys = ["at", "after", "with", "before", "end_by"];
     let is_key = |part: &Part| matches!(part, Part::Key(key, _) if keys.contains(&key.as_str()));
@@ -338,13 +338,13 @@ fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String
     }
 }
 
-/// The instant of a cue, start or end, that a key refers to by default.
+/// The instant of a cue that a key refers to by default.
 enum End {
     Start,
     End,
 }
 
-/// Formats a time for display; with its exact value if rounding would change it.
+/// Formats a time for display. Adds the exact value if rounding changes it.
 pub(super) fn told(span: Span) -> String {
     let unit = match span.abs().as_nanos() {
         1_000_000_000.. => 1_000_000,

@@ -12,9 +12,9 @@ use crate::space::{Axis, Body, Coordinate, Drive, Peak, Played, Pose, Solid, Ste
 pub(super) struct Course {
     /// Movements of x, y, z and yaw, then of the body's joints.
     pub(super) axes: Vec<Axis>,
-    /// Possible deviation of the body's points from this movement, in metres.
+    /// Distance by which the body's points may deviate from the movement `axes`, in metres.
     pub(super) margin: f64,
-    /// The largest speed and the largest acceleration of the body's middle.
+    /// The largest speed and the largest acceleration of the centre of the body.
     pub(super) peaks: [Option<Peak>; 2],
     /// Final pose of a body that is driven by speeds and stationary at the end; `None` for other bodies.
     pub(super) end: Option<Pose>,
@@ -23,7 +23,7 @@ pub(super) struct Course {
 /// Final poses of bodies that are driven by speeds. Keys are indices of robots; unknown poses are missing.
 pub(super) type Poses = HashMap<usize, Pose>;
 
-/// Poses at the start of an act, for bodies that are driven by speeds.
+/// Poses at the start of an act, for bodies that are driven by speeds instead of positions.
 pub(super) struct Standing<'a> {
     /// Final poses of the preceding acts; `None` for the first act.
     before: Option<Vec<&'a Poses>>,
@@ -66,7 +66,7 @@ impl<'a> Scripts<'a> {
         self.of_robot.contains_key(robot)
     }
 
-    /// Returns a device's scripts with their starts, and their largest deviation from the movement as written.
+    /// Returns a device's scripts with their start times, and their largest deviation from the written movement.
     fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<(Millis, &'a Script)>, f64) {
         let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
         let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);

@@ -10,7 +10,7 @@ pub(super) struct Cutting {
     /// Whether the device moves linearly.
     pub(super) moves: bool,
     pub(super) stop_condition: StopCondition,
-    /// Whether the starts of later scripts are corrected for the drift of the robot's clock.
+    /// Whether the mission corrects the starts of later scripts for the drift of the robot's clock.
     pub(super) corrected: bool,
     /// End of the device's movement, since the act's start.
     pub(super) end: Span,
@@ -51,10 +51,11 @@ impl Cutting {
         Some(scripts)
     }
 
-    /// Returns the start of a script that continues after the step `last` with `steps`, and the pause before these.
-    /// If the value does not change until the first step, the script begins with that step. This leaves room to correct the start after
-    /// a drift of the robot's clock. Otherwise, the script begins at the end of the previous one. If its start is to be corrected, the
-    /// pause leaves the room, and the script catches up until its end.
+    /// Returns the start of the script that plays `steps` after the earlier step `last`, and the pause before the first of `steps`.
+    ///
+    /// If the value does not change until the first step, the script begins with that step. The idle time before it leaves room to
+    /// correct the start after a drift of the robot's clock. Otherwise, the script begins at the end of the previous script. If its start
+    /// is to be corrected, the pause leaves the room, and the script makes up for the pause until its end.
     fn begin_after(&self, last: &Step, steps: &[Step]) -> (Span, Span) {
         let (end, first) = (last.offset.span(), &steps[0]);
         // Two scripts of a device never begin at the same instant.
@@ -68,11 +69,11 @@ impl Cutting {
     }
 }
 
-/// Minimum time for sending the next script while the device plays scripts that it already holds.
+/// Minimum playing time of the scripts that a device holds while the next script is sent.
 pub(super) const REFILL: Span = Span::from_millis(1_000);
 
-/// Whether every script that the device cannot hold from the start can be sent in time. The device has room for a script once an earlier
-/// one has ended, and the remaining ones must play for at least [`REFILL`].
+/// Whether every script that the device cannot hold from the start can be sent in time. The device has room for another script once an
+/// earlier script has ended. The scripts that it then still holds must play for at least [`REFILL`].
 pub(super) fn can_be_refilled(scripts: &[DeviceScript], queue: usize) -> bool {
     let end = |script: &DeviceScript| script.start.span() + script.script.duration();
     scripts.len() <= queue
@@ -85,11 +86,12 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
     is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
 }
 
-/// Pause before a script that continues a movement without a rest, as a share of the script's length. Clocks drift apart more slowly
-/// than this, so the mission can start the script earlier if the robot's clock is slow.
+/// Pause before a script that continues a movement without a rest, as a share of the script's length. Clocks drift apart more slowly than
+/// this share. The mission can therefore start the script earlier if the robot's clock is slow.
 const CATCH_UP: f64 = 100e-6;
 
-/// Maximum length of scripts for robots with measured clocks; `CORRECTED_EVERY_LEAST` is the least such maximum, for small tolerances.
+/// Maximum length of scripts for robots with measured clocks. A small tolerance reduces this maximum, but not below
+/// `CORRECTED_EVERY_LEAST`.
 pub(super) const CORRECTED_EVERY: Span = Span::from_millis(30_000);
 const CORRECTED_EVERY_LEAST: Span = Span::from_millis(1_000);
 
@@ -100,8 +102,8 @@ pub(super) fn longest_corrected(tolerance: Span) -> Span {
     longest.clamp(CORRECTED_EVERY_LEAST, CORRECTED_EVERY)
 }
 
-/// Adds steps so that steps between which a position changes linearly are at most `longest` apart. Each added step has a value that the
-/// device can take, at the instant at which the movement passes this value.
+/// Adds steps where a position changes linearly, so that the steps there are at most `longest` apart. Each added step has a value that
+/// the device can take, at the instant at which the movement passes this value.
 pub(super) fn divided(steps: Vec<Step>, device: &Device, longest: Span) -> Vec<Step> {
     let mut all: Vec<Step> = Vec::with_capacity(steps.len());
     for step in steps {

@@ -84,7 +84,7 @@ pub(super) fn join(
     joined
 }
 
-/// Whether the budget has room for the steps of an act. Steps beyond the capacity of a device are not counted, because they are never
+/// Whether the budget has room for the steps of an act. Steps beyond the capacity of a device do not count, because they are never
 /// created.
 fn taken(
     findings: &mut Reader,
@@ -152,7 +152,8 @@ impl Lane<'_> {
         }
     }
 
-    /// Reports jumps of the device between cues of the act. Returns the largest show speed factor for the movements between cues.
+    /// Reports jumps of the device between cues of the act. Returns the largest show speed factor (speed of the show relative to the
+    /// file) that the movements between cues permit.
     fn check_jumps(&self, findings: &mut Reader) -> f64 {
         let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
         let mut position: Option<Position> = None;
@@ -173,7 +174,7 @@ impl Lane<'_> {
         factor_max
     }
 
-    /// Reports a speed or acceleration that nothing ends: neither a final step with the resting value nor a lease.
+    /// Reports a speed or acceleration that nothing ends: there is neither a final step with the resting value nor a lease that expires.
     fn check_left_in_motion(&self, findings: &mut Reader) {
         let Some(last) = self.segments.last() else { return };
         let value = match &last.part.steps {
@@ -220,7 +221,8 @@ impl Lane<'_> {
         }
     }
 
-    /// Returns the device's final position. `None` if it ends with a rate, although the device usually takes positions.
+    /// Returns the device's final position. `None` if the last value is a speed or another quantity, although the device is usually
+    /// controlled by position.
     fn rest(&self) -> Option<f64> {
         let control_type = self.segments.last()?.part.control_type;
         self.last_value().filter(|_| self.device.primary_control_type() == Some(control_type))
@@ -266,7 +268,7 @@ impl Lane<'_> {
         steps
     }
 
-    /// Returns a single step in place of too many, so that the act keeps its length.
+    /// Returns only the last step, for a device with too many steps, so that the act keeps its length.
     fn last_step(&self) -> Vec<Step> {
         let last = self.segments.iter().max_by_key(|segment| segment.end());
         let step = last.and_then(|last| {
@@ -276,8 +278,8 @@ impl Lane<'_> {
         step.into_iter().collect()
     }
 
-    /// Whether an extra step is needed that holds the value: without it, a linear device would creep through the gap between two cues
-    /// instead of waiting.
+    /// Whether an extra step that holds the value is needed before the next cue. Without the extra step, a linear device would creep
+    /// through the gap between two cues instead of waiting.
     fn is_held(&self, at: Span, last: &Setpoint, next: &Segment) -> bool {
         let value = match &next.part.steps {
             Steps::One(values) => values.first().map(|value| value.to),

@@ -17,10 +17,10 @@ use crate::scenario::{self, Items};
 /// The position of a device when a cue begins.
 pub(super) struct Position {
     pub(super) value: f64,
-    /// Time since which the device is at this position.
+    /// Time at which the device arrived at this position.
     pub(super) since: Span,
     pub(super) whence: String,
-    /// Whether a movement has left the device there. Otherwise, only its description states the position.
+    /// Whether a movement has left the device at this position. Otherwise, only the device's description states the position.
     pub(super) is_sure: bool,
 }
 
@@ -41,8 +41,8 @@ pub(super) struct First {
 }
 
 impl Mover<'_> {
-    /// Checks the first value of a movement against the position `from` of the device. Returns the largest show speed factor: the speed
-    /// at which a device moves to its first keyframe is proportional to the show's speed.
+    /// Checks the first value of a movement against the position `from` of the device. Returns the largest permitted show speed factor
+    /// (speed of the show relative to the file): at a higher show speed, devices move to their first keyframes faster.
     pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) -> f64 {
         let unlimited = f64::INFINITY;
         let Steps::One(values) = &segment.part.steps else { return unlimited };
@@ -109,8 +109,8 @@ impl Mover<'_> {
         });
     }
 
-    /// Checks the movement from the device's position to a first keyframe that is later than 0s. Returns the factor like
-    /// [`Self::arrives`].
+    /// Checks the movement from the device's position to a first keyframe that is later than 0s. Returns the largest permitted show speed
+    /// factor, like [`Self::arrives`].
     fn check_way_there(
         &self,
         findings: &mut Reader,
@@ -159,8 +159,8 @@ enum By {
     Timeout,
     /// The previous act failed, and all devices went to their default state.
     Home,
-    /// The previous act has ended without the robots that failed. `only`: the only robot that can be left out; it never takes this
-    /// transition.
+    /// The previous act has ended without the robots that failed. If only one robot can be left out, it is `only`; that robot never takes
+    /// this transition.
     Without { only: Option<usize> },
 }
 
@@ -168,7 +168,7 @@ enum By {
 pub(super) struct Passages(Vec<Vec<Passage>>);
 
 impl Passages {
-    /// Returns the transitions between all these acts.
+    /// Returns the transitions between the acts `acts`.
     pub(super) fn of(acts: &[Act], cast: &Cast<'_>) -> Self {
         let robots = participants(acts, cast);
         let of = |act: &Act| {
@@ -186,7 +186,8 @@ impl Passages {
     }
 }
 
-/// Returns in which states a failure of one of these robots can leave the devices of other robots.
+/// Returns the transitions that may follow a failure of one of these robots; each leaves the devices of the other robots in another
+/// state.
 fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> impl Iterator<Item = By> {
     let rules: HashMap<&RobotId, OnFailure> =
         policy.robots.iter().map(|(robot, rule)| (robot, *rule)).collect();
@@ -200,7 +201,7 @@ fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> i
     home.into_iter().chain(without)
 }
 
-/// Returns the robots that the acts move or read, which are those that take part in the mission.
+/// Returns the robots that take part in the mission: those that the acts move, and those whose sensors the acts read.
 fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
     let moved = acts.iter().flat_map(|act| &act.plan.robots).map(|planned| &planned.robot);
     let read = acts.iter().flat_map(|act| &act.readings).map(|reading| &reading.robot);
@@ -229,11 +230,12 @@ enum LeftBy {
     /// Nothing has moved the device yet.
     Beginning,
     Act(usize),
-    /// A failure of the act at this index.
+    /// A failure of the act with this index has left the device at its default value.
     Failure(usize),
 }
 
-/// Largest show speed factors at which devices reach their first keyframe within their speed limits, by (act, robot, device).
+/// Largest show speed factors (speeds of the show relative to the file) at which devices reach their first keyframes in time, by (act,
+/// robot, device). The speed limits of the devices determine these factors.
 pub(super) type Factors = HashMap<(usize, usize, usize), f64>;
 
 /// Checks the first movements of each act against the positions after each transition into the act, including returns from a later act.
@@ -287,7 +289,7 @@ pub(super) fn check_entries(
     factors
 }
 
-/// Maximum number of distinct positions of a device at the start of one act.
+/// Maximum number of distinct positions of a device at the start of an act that are checked.
 const PLACES_MAX: usize = 16;
 
 /// Returns the possible positions of a device at the start of each act.
@@ -323,8 +325,8 @@ fn places(
     places
 }
 
-/// Adds a place; returns `false` if its value is already known. One finding per value is enough; a finding about a movement is
-/// preferred.
+/// Adds a place. If a place has the same value already, a place that a movement has reached replaces the position from the device's
+/// description. Returns whether `places` has changed.
 fn add(places: &mut Vec<Place>, place: Place) -> bool {
     let Some(known) = places.iter_mut().find(|known| known.value == place.value) else {
         let has_room = places.len() < PLACES_MAX;

@@ -83,14 +83,15 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     Compiled { choreography: choreography.filter(|_| sound), findings }
 }
 
-/// Returns the maximum number of knots; it is higher if a device accepts very long scripts.
+/// Returns the maximum number of knots in a scenario; it is higher if a device accepts very long scripts.
 fn knots_max(fleet: &Fleet) -> usize {
     let devices = fleet.robots.iter().flat_map(devices_of);
     let longest = devices.map(perform::capacity).max().unwrap_or(0);
     longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
 
-/// Maximum number of robots in all cues whose times are computed and kept before the first act is created.
+/// Number of robots, summed over cues, after which times of further acts are not computed ahead. These times would all be kept until the
+/// first act is created.
 const MEMBERS_AHEAD_MAX: usize = 1_000_000;
 
 struct Compiler {
@@ -99,7 +100,7 @@ struct Compiler {
 }
 
 impl Compiler {
-    /// Creates the choreography. `readable` is whether everything could be read, so that references can be checked.
+    /// Creates the choreography. `readable` states whether everything could be read; only then can references be checked.
     fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
         let scenario = std::mem::take(&mut self.scenario);
         let cast = Cast::new(fleet, &scenario.roles);
@@ -205,7 +206,7 @@ impl Compiler {
         Some(choreography)
     }
 
-    /// Computes the times of the acts in order; with very many robots, only those of the first acts.
+    /// Computes the times of the acts in order. If the cues have very many robots, computes only the times of the first acts.
     fn first_times(&mut self, scenario: &Scenario, cast: &Cast<'_>) -> Vec<Times> {
         let mut known: Vec<Times> = Vec::new();
         let mut members = 0usize;
@@ -236,7 +237,7 @@ impl Compiler {
     }
 }
 
-/// Stores the largest speed factors for the transitions into acts.
+/// Stores, for each device in an act, the largest show speed factor at which the device can reach its first keyframe in time.
 fn limit_entries(acts: &mut [Act], cast: &Cast<'_>, factors: &jumps::Factors) {
     for (act, planned) in acts.iter_mut().enumerate().filter(|_| !factors.is_empty()) {
         for used in &mut planned.devices {

@@ -54,7 +54,7 @@ pub struct WrittenCue {
 pub struct WrittenRelation {
     /// Text of the relation, for example `after the end of raise + 500 ms`.
     pub text: String,
-    /// Index of the other cue in its act; `None` for the act itself.
+    /// Index, within the act, of the other cue; `None` if the relation refers to the act itself.
     pub cue: Option<usize>,
     /// The relation as an inequality of two instants; `None` if it refers to the act itself.
     #[serde(skip)]
@@ -84,7 +84,7 @@ pub enum Moment {
 }
 
 impl Moment {
-    /// Index of the cue in its act.
+    /// Returns the index of the cue in its act.
     #[must_use]
     pub const fn cue(self) -> usize {
         match self {
@@ -125,7 +125,7 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
 }
 
 impl Relation {
-    /// Describes this relation. `own` is the index of the cue that has the relation.
+    /// Describes the relation for display. `own` is the index of the cue that has the relation.
     fn written(&self, act: &Act, own: usize) -> WrittenRelation {
         let other = [&self.from, &self.to].into_iter().find_map(|anchor| match anchor {
             Anchor::StartOf(cue) | Anchor::EndOf(cue) => Some(cue),
@@ -169,7 +169,7 @@ impl Anchor {
     }
 }
 
-/// Formats a gap, for example ` + 500 ms` or ` + 1 s to 2 s`; empty without a gap.
+/// Formats the time between two instants, for example ` + 500 ms` or ` + 1 s to 2 s`. Returns an empty string if no time is required.
 fn gap(sign: char, least: Span, most: Option<Span>) -> String {
     match (least, most) {
         (Span::ZERO, None) => String::new(),

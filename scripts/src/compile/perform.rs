@@ -24,14 +24,14 @@ use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 use crate::shown::shortened;
 
-/// Number of steps up to which findings report the exact number, even if it exceeds the capacity of the device.
+/// Largest number of steps that findings report exactly, even if it exceeds the capacity of the device.
 const TOLD_MAX: usize = 1_000_000;
 
 pub(super) use group::Ground;
 
 /// A bound, in units of a device, that exceeds every value of a compiled movement.
 const FAR: f64 = 1e9;
-/// Maximum number of tolerances tried for a hint.
+/// Maximum number of tolerances that are tried before a hint suggests one.
 const TOLERANCES_MAX: usize = 16;
 
 /// Collects the movements of all cues of an act.
@@ -41,7 +41,7 @@ pub(super) struct Performer<'c, 'a> {
     fits: &'c mut Fits,
     /// Time by which every cue must have ended.
     horizon: Span,
-    /// Segments of each device, by (robot, device), in this order.
+    /// Segments of each device, sorted by (robot, device).
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
     /// Robots for which a movement is missing because of an error, so that their positions are unknown.
@@ -80,7 +80,7 @@ pub(super) struct OnDevice<'p> {
 pub(super) struct Fault {
     pub(super) code: Code,
     pub(super) place: Place,
-    /// Size of the fault. Among several faults with the same place and limit, only the largest is described.
+    /// Size of the fault. If several faults have the same place and limit, only the largest one is described.
     pub(super) size: f64,
     /// The first part of the message, up to and including a phrase such as `position of `elbow` on `arm-1``.
     pub(super) said: String,
@@ -98,7 +98,7 @@ impl<'p> OnDevice<'p> {
         Self { cue, track, device, robots, cast, ids: OnceCell::new() }
     }
 
-    /// Returns the ids of the robots, created once for all faults.
+    /// Returns the ids of the robots. They are created once, and all faults share them.
     fn ids(&self) -> Arc<[RobotId]> {
         self.ids.get_or_init(|| self.cast.ids(self.robots)).clone()
     }
@@ -171,7 +171,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.readings(cue, members, time);
     }
 
-    /// Reports a device of the movement that robots lack, once for all kinds of these robots.
+    /// Reports each device that a movement needs but some of its robots lack. A device is reported only once, even if robots of several
+    /// kinds lack it.
     fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
         let mut missing: Vec<(&Track, Vec<&Alike>)> = Vec::new();
         let mut index_of: HashMap<&Place, usize> = HashMap::new();
@@ -244,7 +245,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// Whether the budget has room for one more movement of this many robots. Reports the first cue that exceeds it.
+    /// Whether the budget has room for one more movement of `robots` robots. Reports the first cue that exceeds the budget.
     fn used(&mut self, cue: &Cue, robots: usize) -> bool {
         let told = self.uses.is_overdrawn();
         let sound = self.uses.take(robots);
@@ -314,8 +315,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         Some(Part { factor_max, ..part })
     }
 
-    /// Fits the steps of a movement: the fewest within the tolerance or, if the track sets a number of steps, those with the least
-    /// error. Invalid values do not cause further findings.
+    /// Fits steps to a movement: as few as the tolerance permits or, if the track sets a number of steps, those with the least error.
+    /// Values that are already reported as invalid (`sound` is `false`) cause no further findings.
     fn fitted(
         &mut self,
         on: &OnDevice<'_>,
@@ -377,8 +378,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         })
     }
 
-    /// Returns a tolerance that some steps meet. With a larger tolerance, the movement is sampled less densely, which may require a
-    /// still larger one.
+    /// Returns a tolerance, at least `needed`, within which steps can follow the movement. With a larger tolerance, the movement is
+    /// sampled less densely, which may require an even larger tolerance.
     fn enough(&mut self, actuator: &Actuator<'_>, played: &Played<'_>, thinned: bool, needed: f64) -> f64 {
         let mut tolerance = rounded_up(needed);
         for _ in 0..TOLERANCES_MAX {
@@ -388,7 +389,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         tolerance
     }
 
-    /// Whether the budget has room for a movement of `steps` steps that take the memory of `size` steps with one value.
+    /// Whether the budget has room for a movement of `steps` steps, which take as much memory as `size` steps with one value.
     fn taken(&mut self, on: &OnDevice<'_>, steps: usize, size: usize) -> bool {
         let (place, capacity) = (on.track.place.clone(), capacity(on.device));
         if steps > capacity.max(TOLD_MAX) {
@@ -582,7 +583,7 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 }
 
-/// Reports a sensor that robots lack. `sensor` is the text before the sensor's name, for suggestions, and the name.
+/// Reports a sensor that robots lack. `sensor` contains the text before the sensor's name, which suggestions repeat, and the name.
 pub(super) fn unknown_sensor(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -603,13 +604,13 @@ pub(super) fn unknown_sensor(
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }
 
-/// Returns the maximum number of steps of a movement if `left` remain for the act. It exceeds what the device accepts, so that findings
-/// can report the actual number.
+/// Returns the maximum number of steps to create for a movement if the act may have `left` more steps. The maximum may exceed what the
+/// device accepts, so that findings can report the actual number.
 fn room(device: &Device, left: usize) -> usize {
     capacity(device).max(TOLD_MAX).min(left)
 }
 
-/// Returns a movement with the length at which its cue plays it.
+/// Returns a movement stretched to the length at which its cue plays it.
 fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     if stretch.from == stretch.to {
         return Cow::Borrowed(curve);

@@ -21,7 +21,7 @@ pub(crate) struct DeviceWay<'a> {
     pub(crate) to: f64,
 }
 
-/// Returns the position nearest to `position` to which scripts can set the device, since it may have stopped between two such positions.
+/// Returns the position that scripts can set and that is nearest to `position`. The device may have stopped between two such positions.
 pub(crate) fn settable(device: &Device, position: f64) -> f64 {
     let types = &device.available_control_types;
     let script = types.script().map(|script| &script.limits);
@@ -32,8 +32,8 @@ pub(crate) fn settable(device: &Device, position: f64) -> f64 {
         .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
-/// Compiles an act that makes the given movements. Findings refer to its generated scenario as `source`. The default values in `fleet`
-/// are the current positions. If a device accepts too few steps for a smooth movement, all devices move linearly.
+/// Compiles an act that makes the movements `ways`. Findings name the generated scenario `source`. The default values in `fleet` are the
+/// current positions. If a device accepts too few steps for a smooth movement, all devices move linearly.
 pub(crate) fn compiled(
     source: &str,
     ways: &[DeviceWay<'_>],
@@ -96,7 +96,7 @@ pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     fleet
 }
 
-/// Names a generated act. Copies the settings of starts, leases and failures from the act `other`, except for the act that follows a
+/// Names a generated act. Copies the settings for starts, leases and failures from the act `other`, but not the act that follows a
 /// failure.
 pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act) {
     act.plan.scenario = format!("{scenario}, {name}");

@@ -22,7 +22,7 @@ use crate::slips;
 pub(super) struct CueTime {
     pub(super) start: Span,
     pub(super) end: Span,
-    /// How the cue's movement is stretched: from its own length to the planned one.
+    /// How the cue's movement is stretched: the length as written, and the planned length.
     pub(super) stretch: Stretch,
     /// Largest delay of the cue's start that does not delay the end of the act.
     pub(super) slack: Span,
@@ -67,7 +67,7 @@ pub(super) fn schedule(
     }
 }
 
-/// Returns the time of each cue as if no other cue existed, for use when the times contradict each other.
+/// Returns the time of each cue as if no other cue existed. These times are used when the written times contradict each other.
 fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     let time = |(cue, members): (&Cue, &Members)| {
         let length = match &cue.duration {
@@ -101,7 +101,8 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
     act.cues.iter().zip(times).map(cue).collect()
 }
 
-/// Returns the repetition of a cue at its stretched length; if several movements of the cue are repeated, that of the most frequent one.
+/// Returns the repetition in a cue, with the cue's stretched length. If several movements of the cue are repeated, returns the one with
+/// the most repetitions.
 fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     let others = cue.overrides.iter().map(|(_, movement)| movement).chain(&cue.own);
     let all = std::iter::once(&cue.movement).chain(others).filter_map(|movement| movement.repetition);
@@ -109,15 +110,15 @@ fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     Some(Repetition { times, length: stretch.of(length), every: stretch.of(every) })
 }
 
-/// Cues that need the same resource, so that they must not overlap.
+/// Cues that must not overlap because they need the same resource.
 struct Shared {
-    /// Name of the zone; `None` for cues that only `apart` separates.
+    /// Name of the zone that the cues share; `None` if they are separated only by the key `apart`.
     zone: Option<String>,
     order: Order,
     cues: Vec<usize>,
 }
 
-/// Returns the prefix that a name has in a sequence, such as `greet.`; empty outside a sequence.
+/// Returns the prefix of a cue's name that comes from its sequence, such as `greet.`. Empty if the cue is not part of a sequence.
 fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
     &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
 }
@@ -168,7 +169,7 @@ impl<'a> Timetable<'a> {
         self.origins.insert(id, origin);
     }
 
-    /// Adds the length of a cue: that of its movement, or the bounds of its `duration`.
+    /// Adds the length of a cue to the constraints: that of its movement, or the bounds of its `duration`.
     fn length(&mut self, index: usize, cue: &Cue, members: &Members) {
         let (start, end) = self.events[index];
         let (min, max, place) = match &cue.duration {
@@ -184,7 +185,7 @@ impl<'a> Timetable<'a> {
         );
     }
 
-    /// Adds the least length of a stretchable cue: what the speed and acceleration limits of its devices require.
+    /// Adds a lower bound for the length of a stretchable cue: the time that the speed and acceleration limits of its devices require.
     fn limits(&mut self, index: usize, cue: &Cue, members: &Members, cast: &Cast<'_>) {
         let Some(bounds) = cue.duration.as_ref().filter(|bounds| bounds.max != Some(bounds.min)) else {
             return;
@@ -287,7 +288,7 @@ impl<'a> Timetable<'a> {
         }
     }
 
-    /// Reports each name that several cues have once, at the second of these cues.
+    /// Reports each name that several cues share. There is only one finding for each name, at the second of its cues.
     fn ambiguous(&self, findings: &mut Reader) {
         let mut cues_of: HashMap<&str, Vec<&Cue>> = HashMap::new();
         for cue in &self.act.cues {
@@ -349,7 +350,7 @@ impl<'a> Timetable<'a> {
         shared
     }
 
-    /// Constrains the cues of each zone with the order `given` to the order in the file.
+    /// For each zone with the order `given`, constrains its cues to the order of the file.
     fn order_given(&mut self, shared: &[Shared]) {
         for zone in shared.iter().filter(|zone| zone.order == Order::Given) {
             for pair in zone.cues.windows(2) {
@@ -381,7 +382,7 @@ impl<'a> Timetable<'a> {
         false
     }
 
-    /// Finds an order for the cues of each zone with the order `auto`, for a short makespan.
+    /// For each zone with the order `auto`, finds an order of its cues that makes the whole act short.
     fn order_auto(
         &mut self,
         findings: &mut Reader,

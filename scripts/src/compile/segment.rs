@@ -18,7 +18,7 @@ pub(super) struct Segment {
     pub(super) part: Arc<Part>,
 }
 
-/// The steps of one track on one kind of device, shared by all robots of that kind.
+/// The steps of a track on devices of one kind, shared by all robots of that kind.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) control_type: ControlType,
@@ -28,11 +28,12 @@ pub(super) struct Part {
     pub(super) at_least: usize,
     pub(super) worst: f64,
     pub(super) worst_at: Span,
-    /// Whether the device moves to the first step from any position.
+    /// Whether the movement can begin at any position, so that the device moves from there to the first step.
     pub(super) moves_from_anywhere: bool,
     /// The tolerance for which the steps were created, in the device's unit.
     pub(super) tolerance: f64,
-    /// The largest show speed factor at which the movement stays within the limits of the device.
+    /// The largest show speed factor (speed of the show relative to the file) at which the movement stays within the limits of the
+    /// device.
     pub(super) factor_max: f64,
     /// The quantity to reduce if there are too many steps.
     pub(super) excess: Excess,
@@ -49,16 +50,16 @@ impl Part {
     }
 }
 
-/// The cause of many steps in a movement.
+/// The main cause of a large number of steps in a movement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Excess {
-    /// Single keyframes.
+    /// Keyframes that each become a step.
     Keyframes,
     /// Many repetitions of the movement.
     Turns,
     /// Curved transitions between keyframes.
     Eases,
-    /// A curve that the steps follow closely.
+    /// A curve that needs many steps to be followed closely.
     Curve,
 }
 
@@ -78,7 +79,7 @@ fn is_bent(motion: &Motion) -> bool {
     curve.knots.iter().any(|knot| matches!(knot.shape, Shape::Eased(Easing::Smooth | Easing::Cubic)))
 }
 
-/// Setpoints at times since the cue's start.
+/// Setpoints with their times since the cue's start.
 #[derive(Debug)]
 pub(super) enum Steps {
     One(Vec<Value>),
@@ -93,7 +94,7 @@ impl Steps {
         }
     }
 
-    /// Memory usage of the steps in a script, counted in steps with one value.
+    /// Returns the memory that the steps take in a script, expressed as a number of steps with one value.
     pub(super) fn size(&self) -> usize {
         match self {
             Self::One(values) => values.len(),

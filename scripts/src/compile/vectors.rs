@@ -1,4 +1,4 @@
-//! Several values at once: the steps of a track with all its keyframes, or with as few of them as the track permits.
+//! Tracks whose keyframes set several values at once. Their steps are all keyframes, or as few of them as the track permits.
 
 use std::borrow::Cow;
 
@@ -8,7 +8,7 @@ use super::perform::OnDevice;
 use crate::motion::{Stretch, runs};
 use crate::scenario::{Vector, Vectors};
 
-/// Number of halvings of the tolerance in the search for the least error.
+/// Number of times that the tolerance is halved in the search for the least error.
 const ROUNDS: u32 = 48;
 
 /// The steps of a track, with their deviation from the written values.
@@ -36,7 +36,7 @@ pub(super) fn thinned(on: &OnDevice<'_>, vectors: &Vectors, stretch: Stretch) ->
     Thinned { steps: kept.items.into_owned().moved(stretched), worst, worst_at: stretched(worst_at) }
 }
 
-/// Returns the permitted error of a track: its own tolerance or, by default, that of the script's limits.
+/// Returns the permitted error of a track: its own tolerance or, by default, the tolerance of the script's limits.
 pub(super) fn tolerance(on: &OnDevice<'_>) -> f64 {
     let script = on.device.available_control_types.script().map(|script| &script.limits);
     let own = || script.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity));
@@ -48,7 +48,7 @@ struct Kept<'a> {
     worst: (f64, Span),
 }
 
-/// Keeps as few keyframes as the tolerance allows. The last one is always kept, because it ends the movement.
+/// Keeps as few keyframes as the tolerance permits. Always keeps the last keyframe, because it ends the movement.
 fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     let mut items = Vectors::default();
     let mut worst = (0.0, Span::ZERO);
@@ -68,7 +68,7 @@ fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     Kept { items: Cow::Owned(items), worst }
 }
 
-/// Keeps the keyframes that minimize the error: at most `most` or, if that is impossible, the smallest possible number.
+/// Keeps the keyframes that minimize the error: at most `most` keyframes or, if that is impossible, as few as possible.
 fn closest<'a>(device: &Device, vectors: &Vectors, most: usize) -> Kept<'a> {
     let largest = vectors.values().iter().fold(0.0, |most: f64, value| most.max(value.abs()));
     let (mut narrow, mut wide) = (0.0, 2.0 * largest);

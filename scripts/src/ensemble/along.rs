@@ -1,4 +1,4 @@
-//! A group that moves along a path: as one body, or with each robot behind the previous one.
+//! A group that moves along a path: as a rigid formation, or as a line in which each robot follows the one before it.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use super::{Course, Dancer, Fault, Ground};
 use crate::formation::{Point, SAME, metres_between};
 use crate::motion::{Along, Carried, Path};
 
-/// Maximum number of points of the path: those of all laps plus the places of the following robots.
+/// Maximum number of points of the path. The points of all laps count, and so do the places of the robots that follow.
 pub(crate) const POINTS_MAX: usize = 10_000;
 
 /// A path, with the position on it at which each robot begins.

@@ -52,22 +52,23 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Returns the device's metres per unit, its zero in metres, and its granularity; `None` for a fixed coordinate.
+    /// Returns three numbers: the metres per unit of the device, the coordinate of its zero in metres, and its granularity. `None` for a
+    /// fixed coordinate.
     pub(super) fn grid(&self) -> Option<[f64; 3]> {
         let Self::Moved { scale, offset, .. } = *self else { return None };
         let limits = self.limits().and_then(|mut limits| limits.next());
         Some([scale, offset, limits.map_or(0.0, |limits| limits.granularity)])
     }
 
-    /// Returns the permitted error of the device's steps, in metres: `tolerance` or, by default, the device's own.
+    /// Returns the permitted error of the device's steps, in metres: `tolerance` or, by default, the error that the device permits.
     pub(crate) fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
         let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
         scale.abs() * tolerance.unwrap_or_else(|| self.most(own))
     }
 
-    /// Returns the tolerance of the device's steps, in its unit, that uses only the share `error_share` of the permitted error. It is at
-    /// least what the device's grid needs.
+    /// Returns a tolerance for the device's steps, in the unit of the device. It uses only the share `error_share` of the permitted
+    /// error, but is at least as large as the device's grid requires.
     pub(crate) fn tolerance(&self, tolerance: Option<f64>, error_share: f64) -> Option<f64> {
         let Self::Moved { scale, .. } = self else { return tolerance };
         if error_share >= 1.0 {
@@ -93,7 +94,7 @@ impl<'a> Axis<'a> {
     }
 }
 
-/// A robot of a group, with its place when it begins.
+/// A robot of a group, with the place at which it begins.
 pub(crate) struct Dancer<'a> {
     /// Index of the robot in the fleet.
     pub(crate) robot: usize,
@@ -106,17 +107,18 @@ pub(crate) struct Dancer<'a> {
 }
 
 impl Dancer<'_> {
-    /// Returns the delay of the robot's start after the start of the cue, in seconds.
+    /// Returns the delay of the robot's start, since the start of the cue, in seconds.
     pub(super) fn delay_seconds(&self) -> f64 {
         self.delay.as_millis_f64() / 1_000.0
     }
 
-    /// Returns the index of the robot, the delay of its start in seconds, and its place then.
+    /// Returns the index of the robot, the delay of its start in seconds, and its place at its start.
     pub(super) fn begin(&self) -> (usize, f64, Point) {
         (self.robot, self.delay_seconds(), self.from)
     }
 
-    /// Like [`coarseness`], for this robot.
+    /// Returns the largest distance, in metres, from a required place at which the grids of the robot's devices may leave it. See
+    /// [`coarseness`].
     pub(super) fn coarseness(&self) -> f64 {
         coarseness_of(&self.axes)
     }
@@ -140,7 +142,7 @@ impl Dancer<'_> {
     }
 }
 
-/// Returns the largest distance of a body from a place that the grids of its devices cause, in metres.
+/// Returns the largest distance, in metres, from a required place at which the grids of a body's devices may leave the body.
 pub(crate) fn coarseness(body: &Body, devices: &[Device]) -> f64 {
     axes(body, devices).map_or(0.0, |axes| coarseness_of(&axes))
 }

@@ -1,4 +1,4 @@
-//! A group that moves into a formation or home.
+//! A group that moves into a formation, or home to the default positions of its robots.
 
 use std::cmp::Ordering;
 
@@ -44,8 +44,8 @@ pub(super) fn formed(
     Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
 }
 
-/// Returns the places of a formation; empty for home. If there are fewer places than robots, the cue must set `spare`; if there are
-/// more, `thin`.
+/// Returns the places of a formation; empty if the target is home. If there are fewer places than robots, the cue must set the key
+/// `spare`. If there are more places than robots, it must set `thin`.
 pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<Vec<Point>, Fault> {
     let Target::Formation(name) = &form.to else { return Ok(Vec::new()) };
     let written = ground.formations.get(name).ok_or(Fault::UnknownFormation)?;
@@ -81,7 +81,7 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
     Err(Fault::Flat { dancer, why })
 }
 
-/// Checks that the bodies of any two of these robots could be at the two places that are nearest to each other.
+/// Checks that the two nearest places of a formation are far enough apart for the bodies of any two robots.
 fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Result<(), Fault> {
     // If there are more places than robots, only some are used.
     let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
@@ -93,7 +93,7 @@ fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Re
     }
 }
 
-/// Returns the default position of each robot, or the robots that have none as a fault.
+/// Returns the default position of each robot. If robots have none, returns these robots as the fault.
 fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
     let home = |dancer: &Dancer<'_>| match dancer.axes.each_ref().map(Axis::home) {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
@@ -147,7 +147,7 @@ fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
 }
 
 /// Rounds the places to positions that the devices can reach, if these positions are the same for all robots. Movements are then checked
-/// up to their actual ends.
+/// up to the places where they really end.
 fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     let grids = |dancer: &Dancer<'_>| dancer.axes.each_ref().map(Axis::grid);
     let Some(first) = dancers.first() else { return places };

@@ -1,4 +1,4 @@
-//! What the movements of groups depend on apart from their cues: the fleet, and the formations and paths of the scenario.
+//! The data that determine the movements of groups, apart from their cues: the fleet, and the formations and paths of the scenario.
 
 use std::collections::HashMap;
 use std::sync::Arc;

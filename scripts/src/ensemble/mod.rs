@@ -28,7 +28,7 @@ pub(crate) const GROUP_MAX: usize = PLACES_MAX;
 /// Places have the same height if their heights differ by less than this, in metres.
 const LEVEL: f64 = 1e-9;
 
-/// What a cue requires of its group.
+/// What a cue asks of its group: the movement, and the permitted error.
 #[derive(Clone, Copy)]
 pub(crate) struct Asked<'a> {
     pub(crate) together: &'a Together,
@@ -51,7 +51,8 @@ pub(crate) struct Moved {
     pub(crate) length: f64,
     /// Movements along x, y and z, in metres.
     pub(crate) axes: [Swept; 3],
-    /// Share of the permitted error (of the robot's devices or the cue) that its steps may use: less than 1 if other robots are close.
+    /// Share of the permitted error (of the robot's devices or the cue) that the robot's steps may use. Less than 1 if other robots are
+    /// close.
     pub(crate) error_share: f64,
 }
 
@@ -65,7 +66,7 @@ impl Moved {
 /// A reason why a group cannot make its movement. Robots are identified by their index in the list of dancers.
 #[derive(Clone, Debug)]
 pub(crate) enum Fault {
-    /// A formation or a path has a fault, which is reported at its own place.
+    /// A formation or a path has a fault that is already reported at its own place in the file.
     ToldElsewhere,
     /// The group has more robots than [`GROUP_MAX`].
     TooMany,
@@ -74,14 +75,14 @@ pub(crate) enum Fault {
     Count {
         places: usize,
     },
-    /// A robot cannot change its height.
+    /// The group's movement requires a change of height, but a robot cannot change its height.
     Flat {
         dancer: usize,
         why: String,
     },
-    /// Robots have no default value for a coordinate. Contains these robots.
+    /// The robots with these indices have no default value for a coordinate.
     Homeless(Vec<usize>),
-    /// Two places of the formation are closer than two of the bodies may be, in metres.
+    /// Two places of the formation are closer to each other than any two bodies may be. Distances are in metres.
     Crowded {
         places: [usize; 2],
         distance: f64,
@@ -96,9 +97,9 @@ pub(crate) enum Fault {
     /// All robots are in the middle of the group, so nothing moves them.
     Unmoved,
     UnknownPath,
-    /// The cue sets this number of laps for a path that does not end where it begins.
+    /// The cue sets several laps for a path that does not end where it begins; contains their number.
     OpenLaps(u32),
-    /// The group would turn with a path that has no heading, because it is vertical somewhere.
+    /// The group should turn with the heading of a path that has no heading, because it is vertical somewhere.
     NoHeading,
     /// The path has too many points; contains their number.
     TooManyPoints(usize),
@@ -129,7 +130,7 @@ pub(crate) fn ways(
     }
 }
 
-/// Checks the places into which this many robots move, if the target of the movement is a formation.
+/// Checks the places into which `robots` robots move, if the target of the movement is a formation.
 ///
 /// # Errors
 /// Returns a fault in the number of places or in the name of the formation.
@@ -152,7 +153,7 @@ impl Rehearsed {
         Self { from: dancers.iter().map(Dancer::begin).collect(), ways: Arc::new(ways) }
     }
 
-    /// Returns the computed movements if `dancers` begin at the same places and times as then; `None` otherwise.
+    /// Returns the computed movements if `dancers` begin at the places and times for which the movements were computed; `None` otherwise.
     pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<Moved>, Fault>> {
         let same = self.from.iter().copied().eq(dancers.iter().map(Dancer::begin));
         same.then(|| (*self.ways).clone())

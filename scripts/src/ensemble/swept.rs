@@ -1,4 +1,4 @@
-//! A group that turns, grows, shifts and follows a path as one body.
+//! A group that moves as one body: it turns, grows, shifts or follows a path.
 
 use super::along::{Carrier, carrier};
 use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
@@ -57,9 +57,9 @@ pub(super) fn swept(
     }
 }
 
-/// Largest speed and acceleration of a movement, relative to its share of time. They are equal for robots side by side.
+/// Largest speed and acceleration of a movement if it lasted 1 s. Robots with equal movements share these values.
 struct Rates {
-    /// Movements of the coordinates, relative to the robot's start.
+    /// Movements of the coordinates, relative to the place at which the robot begins.
     axes: [Swept; 3],
     body: (f64, f64),
     own: [(f64, f64); 3],
@@ -78,10 +78,10 @@ impl Rates {
     }
 }
 
-/// The time that a robot needs for its movement, in seconds.
+/// The duration that a robot needs for its movement, in seconds.
 struct Needed {
     shortest: f64,
-    /// Time that is also sufficient for the robot's steps.
+    /// Duration within which the robot's steps, too, stay within the limits; they can be faster than the movement itself.
     sure: f64,
 }
 
@@ -106,13 +106,14 @@ impl Needed {
     }
 }
 
-/// Whether turning and growing do not move the robot, because it is at the centre.
+/// Whether the robot stays where it is when the group turns and grows, because it is at the centre.
 fn is_center(dancer: &Dancer<'_>, center: Point, sweep: &Sweep) -> bool {
     let axes = if sweep.grow == 1.0 || dancer.is_flat() { 2 } else { 3 };
     (0..axes).all(|axis| (dancer.from[axis] - center[axis]).abs() < SAME)
 }
 
-/// Returns a robot that cannot follow because its height is fixed. If all heights are fixed, the group grows within its level.
+/// Returns a robot that cannot follow the group because its height is fixed, and the reason. If all heights are fixed, the group grows
+/// only horizontally.
 fn left_behind(
     sweep: &Sweep,
     carrier: Option<&Carrier>,
@@ -131,8 +132,8 @@ fn left_behind(
     Some((off, "the group also grows in height"))
 }
 
-/// Returns the shortest time for a movement within the limits. The largest slope and curvature are relative to the movement's share of
-/// time.
+/// Returns the shortest duration of a movement within the limits, in seconds. The slope and the curvature are the largest speed and
+/// acceleration of the movement if it lasted 1 s.
 fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
     (slope / speed).max((curvature / acceleration).sqrt())
 }

@@ -87,7 +87,7 @@ pub(crate) struct Course {
     pub(crate) laps: Option<u32>,
     /// Whether the group turns with the heading of the path, about the group's middle.
     pub(crate) turning: bool,
-    /// Whether each robot follows the previous robot of the cue, through the place of that robot.
+    /// Whether each robot follows the previous robot in the cue's list, through the place of the previous robot.
     pub(crate) follow: bool,
     /// Place of the path's use in the file.
     pub(crate) place: Place,

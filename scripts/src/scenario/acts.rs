@@ -246,7 +246,8 @@ fn act(
     })
 }
 
-/// Reports the cue's keys within a map in one finding, and returns the map without them. `None` if the map contains none of `moves`.
+/// Reports, in a single finding, the keys in a map that only cues accept, and returns the map without them. `None` if the map contains
+/// none of the keys `moves`.
 pub(super) fn without_cue(
     reader: &mut Reader,
     at: &At<'_>,
@@ -274,7 +275,7 @@ pub(super) fn without_cue(
     Some(Node::Map(own.into_iter().cloned().collect()))
 }
 
-/// Returns a single value as in the file; `...` for a list or a map.
+/// Returns a number or a text as written in the file; `...` for a list or a map.
 fn briefly(node: &Node) -> String {
     match node {
         Node::Text(text) => shortened(text),
@@ -283,7 +284,7 @@ fn briefly(node: &Node) -> String {
     }
 }
 
-/// Reads `[table, lift]`, or `{table: auto, lift: given}`.
+/// Reads zones and the order of their cues, such as `[table, lift]` or `{table: auto, lift: given}`.
 fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)> {
     let expected = "a list of zones, or a map from zone to its order";
     match at.node {
@@ -306,7 +307,7 @@ pub(super) const ON_FAILURE: [(&str, OnFailure); 3] =
 pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
     [("start", OnDoubt::Start), ("withdraw", OnDoubt::Withdraw)];
 
-/// Reads one word for all robots, or a map with `default`, `then` and words for robots or groups.
+/// Reads the rule for failures: one word for all robots, or a map with `default`, `then` and words for robots or groups.
 pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
     let Node::Map(_) = at.node else {
         return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
@@ -406,7 +407,7 @@ fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
     parsed
 }
 
-/// Returns the time of day that `30 19 * * *` or `7:30 pm` means.
+/// Returns the time of day that a text in another notation means, such as `30 19 * * *` or `7:30 pm`.
 fn meant_time(text: &str) -> Option<String> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let (hour, minute) = match words.as_slice() {

@@ -53,7 +53,7 @@ impl Canon {
         }
     }
 
-    /// Adds the delays that the key `at` gives each robot.
+    /// Adds, for each robot, the delay that results from the cue's key `at`.
     pub(super) fn delayed(self, late: Option<Late>) -> Self {
         let Some(Late { by, from, place }) = late else { return self };
         let delays = by.iter().enumerate().map(|(index, late)| match &self {
@@ -64,14 +64,14 @@ impl Canon {
     }
 }
 
-/// Delays of robots for which `at` has different values.
+/// Delays of the robots of a cue whose key `at` has a different value for each robot.
 pub(super) struct Late {
     pub(super) by: Vec<Exact>,
     pub(super) from: Beginning,
     pub(super) place: Place,
 }
 
-/// Reads `400ms`, or `{step: 400ms, by: x, direction: outward}`.
+/// Reads a canon (delays from robot to robot), such as `400ms` or `{step: 400ms, by: x, direction: outward}`.
 pub(super) fn read(reader: &mut Reader, at: Option<&At<'_>>) -> Canon {
     let Some(at) = at else { return Canon::default() };
     let found = match at.node {
@@ -88,11 +88,11 @@ fn each(reader: &Reader, at: &At<'_>, delays: Vec<Exact>) -> Canon {
     Canon::Each { delays, from: reader.music.start, place: at.place() }
 }
 
-/// Start times of the places in the order of robots.
+/// Delays of the places in the order of robots; robots at the same place begin together.
 enum Steps {
     /// The same delay from each place to the next.
     Even(Exact),
-    /// One start time per place.
+    /// One delay for each place, since the start of the cue.
     Each(Vec<Exact>),
 }
 
@@ -105,7 +105,7 @@ impl Steps {
     }
 }
 
-/// Reads the delay from each place in the order of robots to the next; `$index` is the number of the place.
+/// Reads the delays between consecutive places in the order of robots. In an expression, `$index` is the number of the place.
 fn steps(reader: &mut Reader, at: &At<'_>) -> Option<Steps> {
     let count = reader.group.count();
     let mut begins = vec![Exact::ZERO];
@@ -162,7 +162,7 @@ fn scaled(unit: Exact, by: &[Fraction]) -> Vec<Exact> {
     by.iter().map(|share| unit.times(*share)).collect()
 }
 
-/// Reads the speed of a wave over the robots, and returns its time per metre.
+/// Reads the speed at which a wave passes over the robots, and returns the time that the wave takes per metre.
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     let expected = "a speed from 0.001 to 1000000 metres per second";
     let speed = reader.positive(at, expected)?;

@@ -262,7 +262,7 @@ pub(super) fn name_list(reader: &mut Reader, at: &At<'_>, expected: &str) -> Vec
     items.iter().filter_map(name).collect()
 }
 
-/// Reads a lease: `2s` for both parts, or a map of `pending` and `running`, each a time or `none`.
+/// Reads a lease (longest silence of the server): `2s` for both parts, or a map of `pending` and `running`, each a time or `none`.
 pub(super) fn lease(reader: &mut Reader, at: &At<'_>, default: StopCondition) -> Option<StopCondition> {
     let Node::Map(_) = at.node else {
         return reader.duration(at).map(|span| StopCondition::both(Millis::from_span(span)));

@@ -42,7 +42,7 @@ keys! {
 /// Maximum number of faults listed per file; the last entry contains the number of further ones.
 const FAULTS_MAX: usize = 20;
 
-/// Reads `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`.
+/// Reads a movement from a column of a CSV file: `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`.
 pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
     let SamplesKeys { file, time, value, time_unit: unit, scale, ease } = reader.keys(at, "`samples`")?;
     let name =

@@ -15,10 +15,10 @@ use crate::finding::Code;
 use crate::fleet::Fleet;
 use crate::shown::shortened;
 
-/// Resolves names to robots before cues are checked.
+/// The fleet, for finding the robots that names refer to before cues are checked.
 pub(super) struct Roster<'a> {
     pub(super) fleet: &'a Fleet,
-    /// Index of each robot, by its composed name.
+    /// Index of each robot in the fleet, by the robot's name in Unicode normalization form C.
     index_of: HashMap<Cow<'a, str>, usize>,
 }
 
@@ -29,7 +29,7 @@ impl<'a> Roster<'a> {
         Self { fleet, index_of }
     }
 
-    /// Returns the robots that the names refer to, each once, in the order of the names. Unknown names are skipped.
+    /// Returns the robots that the names refer to, in the order of the names and without duplicates. Skips unknown names.
     pub(super) fn robots(&self, roles: &HashMap<String, Vec<Name>>, names: &[Name]) -> Vec<usize> {
         let mut seen = std::collections::HashSet::new();
         let of_role = |name: &Name| roles.get(&name.text).cloned().unwrap_or_else(|| vec![name.clone()]);
@@ -63,13 +63,13 @@ impl<'a> Roster<'a> {
 pub(super) struct Movements {
     pub(super) shared: Movement,
     pub(super) overrides: Vec<(Name, Movement)>,
-    /// Movements of single robots; for each robot of the cue, `own_of` contains the index of its movement here.
+    /// Movements of single robots. For each robot of the cue, `own_of` contains the index of the robot's movement in this list.
     pub(super) own: Vec<Movement>,
     pub(super) own_of: Vec<Option<usize>>,
 }
 
 impl Movements {
-    /// Makes the movements last at least `length`, since a group movement may take longer than the tracks.
+    /// Sets the length of all movements to at least `length`, because a group movement may take longer than the tracks.
     pub(super) fn last_at_least(&mut self, length: Span) {
         let overrides = self.overrides.iter_mut().map(|(_, movement)| movement);
         for movement in std::iter::once(&mut self.shared).chain(overrides).chain(&mut self.own) {
@@ -127,8 +127,8 @@ pub(super) fn movements(
     read
 }
 
-/// Reads a movement as for a group of one robot. Also returns whether the movement differs between robots; if it does, the result is
-/// discarded.
+/// Reads a movement for the only robot of an assumed group. Also returns whether the movement differs between robots. If it does,
+/// discards what was read.
 fn probe(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> (Movement, bool) {
     let before = (reader.mark(), reader.knots);
     let movement = of_robot(reader, library, shaping, Robot { index: 0, count: 1 });

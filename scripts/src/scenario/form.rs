@@ -165,7 +165,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     Some(Form { to: target, least, spare, thin })
 }
 
-/// Returns the key of a shape that is written where the name of a formation is expected.
+/// Returns the key of a shape (such as `circle`) that is written where the name of a formation is expected.
 fn shape_within(node: &Node) -> Option<&'static str> {
     let Node::Map(entries) = node else { return None };
     SHAPES.into_iter().find(|shape| entries.iter().any(|(key, _)| key == shape))

@@ -123,7 +123,7 @@ keys! {
     }
 }
 
-/// A shape with its default position, rotation and scale.
+/// A shape with its position, rotation and scale, which are initially the defaults.
 struct Shaped {
     shape: Shape,
     placing: Placing,
@@ -244,7 +244,7 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(Shape::Points(points)) })
 }
 
-/// Reads `{spacing: 1}` or `{length: 6}`.
+/// Reads the keys of a line, such as `{spacing: 1}` or `{length: 6}`.
 fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let LineKeys { spacing, length: whole } = reader.keys(at, "`line`")?;
     let (line, key, size) = match (spacing, whole) {
@@ -261,7 +261,7 @@ fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Line(line)).of_size(key, size))
 }
 
-/// Reads `{radius: 2}` or `{spacing: 1}`.
+/// Reads the keys of a circle, such as `{radius: 2}` or `{spacing: 1}`.
 fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let CircleKeys { radius, spacing } = reader.keys(at, "`circle`")?;
     let (ring, key, size) = match (radius, spacing) {
@@ -278,7 +278,7 @@ fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Circle(ring)).of_size(key, size))
 }
 
-/// Reads `{spacing: 1, columns: 4, rows: 3}`.
+/// Reads the keys of a grid, such as `{spacing: 1, columns: 4, rows: 3}`.
 fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let GridKeys { spacing, columns, rows } = reader.keys(at, "`grid`")?;
     let side = |reader: &mut Reader, at: Option<At<'_>>| match at {
@@ -296,7 +296,7 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(if x == y && y == z { shaped.of_size("spacing", x) } else { shaped })
 }
 
-/// Reads `{spacing: 1, angle: 60}`.
+/// Reads the keys of a V, such as `{spacing: 1, angle: 60}`.
 fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let VeeKeys { spacing, angle } = reader.keys(at, "`v`")?;
     let expected = "an angle between the arms above 0 and below 180 degrees";
@@ -320,7 +320,7 @@ fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Vee(vee)).of_size("spacing", spacing))
 }
 
-/// Reads `{radius: 2}`.
+/// Reads the key of a sphere, such as `{radius: 2}`.
 fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let SphereKeys { radius } = reader.keys(at, "`sphere`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;
@@ -418,7 +418,7 @@ fn unfit_file(reader: &mut Reader, at: &At<'_>, name: &str, unfit: Unfit) -> Opt
     None
 }
 
-/// Reads `size`, and returns the factor that gives the longest side of the shape this length.
+/// Reads the key `size`, and returns the scale factor at which the longest side of the shape has this length.
 fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>>) -> Option<f64> {
     let size = length(reader, at)?;
     if scale.is_some() {

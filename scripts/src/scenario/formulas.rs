@@ -8,11 +8,11 @@ use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
 
-/// The item of a knot that has no number in the file.
+/// The item index of a knot that does not correspond to an item in the file.
 const NO_ITEM: u32 = u32::MAX;
-/// Assumed number of evaluations of one formula, for the budget of all expressions.
+/// Assumed number of evaluations of a formula, which counts against the budget of all expressions.
 const LOOKS: usize = 64;
-/// Share of the largest value. Values that differ by less are equal.
+/// Share of the largest value: a difference between two values that is below this share is not a jump.
 const GAP: f64 = 1e-6;
 
 /// Reads the formula of a track at `formula_at`, and the track's duration.

@@ -1,4 +1,5 @@
-//! Where a value of a movement comes from if not from its own place: a parameter that a cue passes to a move, or a change by the cue.
+//! The origin of a value in a movement, if the value does not come from its own place in the file. It comes from a parameter that a cue
+//! passes to a move, or from a change by the cue.
 
 use std::sync::Arc;
 
@@ -28,14 +29,14 @@ impl Changed {
     }
 }
 
-/// Items whose values depend on a parameter, each with the place of its argument.
+/// Items (by index) whose values depend on a parameter, each with the place of the parameter's argument.
 pub(crate) type Givens = Vec<(u32, Given)>;
 
 /// The place of a parameter's argument, on which a value depends.
 #[derive(Clone, Debug)]
 pub(crate) struct Given {
     pub(crate) place: Arc<Place>,
-    /// Whether the parameter is the whole value, not only a part of an expression.
+    /// Whether the value is just the parameter, as opposed to an expression that contains it.
     pub(crate) is_alone: bool,
 }
 

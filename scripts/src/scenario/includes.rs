@@ -1,4 +1,5 @@
-//! Included files: plain includes, and includes under a name or with parameters, by which one file can be included several times.
+//! Included files. A plain include exists only once; an include under a name or with parameters adds a copy of the file, so that one file
+//! can be included several times.
 
 use std::sync::Arc;
 
@@ -29,11 +30,11 @@ keys! {
 pub(super) struct Included {
     pub(super) file: String,
     pub(super) place: Place,
-    /// Whether the include is plain: without a name and parameters, so that all files share the included names.
+    /// Whether the include is plain: it has no name and no parameters, and all files can use its names without a prefix.
     pub(super) is_plain: bool,
 }
 
-/// Returns the files under `include`. [`check`] reports errors there.
+/// Returns the files that are listed under `include`. Skips invalid entries, which [`check`] reports.
 pub(super) fn named(root: &Node, file: usize) -> Vec<Included> {
     let at = At::document(root, u16::try_from(file).unwrap_or(u16::MAX));
     let mut all = Vec::new();
@@ -88,7 +89,7 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
     }
 }
 
-/// Sets the parameters of a plain included file to their defaults.
+/// Sets the parameters of an included file to their defaults, for a plain include, which passes no values.
 pub(super) fn defaults(reader: &mut Reader, parameters: Option<At<'_>>, (name, place): (&str, &Place)) {
     let used = of_file(name, (0, &Node::Null), place.clone());
     let values = with_defaults(reader, &used, parameters.as_ref(), Vec::new());
@@ -99,15 +100,15 @@ fn of_file<'a>(name: &str, (file, node): (u16, &'a Node), place: Place) -> Used<
     Used { kind: "file", name: name.to_owned(), part: Shared { file, name: "", node, copy: 0 }, place }
 }
 
-/// The copy of a file whose includes are being copied.
+/// The copy of a file whose own `include` entries are being processed.
 struct Within<'n> {
     copy: usize,
-    /// The files that include each other, from the scenario to this one.
+    /// The chain of files that include each other, from the scenario or a plain include to the file of this copy.
     files: Vec<u16>,
     used: Option<&'n Arc<Use>>,
 }
 
-/// Adds a copy for each include that has a name or parameters.
+/// Adds to the library a copy of the included file for each include that has a name or parameters.
 pub(super) fn copies<'a>(reader: &mut Reader, library: &mut Library<'a>, documents: &'a Documents<'_>) {
     for (file, plain) in (0u16..).zip(&documents.plain) {
         if plain.is_some() {

@@ -166,7 +166,7 @@ named! {
 
 /// An entry under `include`: a file, plain or under its own name.
 static ONE_INCLUDE: Kind = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND]);
-/// Number of times that a movement is played.
+/// Number of times that a movement is played, as an integer.
 pub(super) static TURNS: Kind = schema!({"type": "integer", "minimum": 1, "maximum": 10000000});
 /// A range: two bounds separated by two dots.
 static RANGE: Kind = schema!({"type": "string", "pattern": "^.+\\.\\..+$"});

@@ -77,7 +77,7 @@ pub(crate) struct Documents<'a> {
     pub(super) plain: Vec<Option<Place>>,
 }
 
-/// Reads a scenario and everything that it includes, each file only once.
+/// Reads a scenario and all files that it includes, directly or indirectly. Each file is read only once.
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let parse = |source: &Source| {
         let mut node = node::parse(source)?;
@@ -145,18 +145,18 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
     if findings.is_empty() { Ok(documents) } else { Err(findings) }
 }
 
-/// A move or a sequence as written.
+/// A move or a sequence as written; both are parts that cues share.
 #[derive(Clone, Copy)]
 pub(crate) struct Shared<'a> {
     pub(crate) file: u16,
     /// Name of the part in its own file.
     pub(crate) name: &'a str,
     pub(crate) node: &'a Node,
-    /// Index in [`Library::copies`] of the copy to which the part belongs.
+    /// Index of the part's copy in [`Library::copies`]; 0 if it belongs to the scenario or a plain include.
     pub(super) copy: usize,
 }
 
-/// A file that is included under a name or with parameters. The first copy is the scenario with all its plain includes.
+/// A copy of a file that is included under a name or with parameters. The first copy is the scenario with all its plain includes.
 #[derive(Default)]
 pub(super) struct Copy {
     /// Prefix of the names in this copy, such as `left.`.
@@ -167,7 +167,7 @@ pub(super) struct Copy {
     pub(super) used: Option<Arc<Use>>,
 }
 
-/// The moves, sequences, roles, formations and paths of all files, by name, with access to data files.
+/// The moves, sequences, roles, formations and paths of all files, by name. Also gives access to data files.
 pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, Shared<'a>>,
     pub(super) sequences: HashMap<String, Shared<'a>>,
@@ -185,7 +185,7 @@ pub(crate) struct Library<'a> {
 }
 
 impl<'a> Library<'a> {
-    /// Registers the moves and sequences of all plain includes. [`Self::include`] and [`Self::add`] report their errors.
+    /// Registers the moves and sequences of the scenario and all plain includes. [`Self::include`] and [`Self::add`] report their errors.
     pub(super) fn new(documents: &'a Documents<'_>, files: &'a dyn Files, fleet: &'a Fleet) -> Self {
         let mut library = Self {
             moves: HashMap::new(),
@@ -208,7 +208,7 @@ impl<'a> Library<'a> {
         library
     }
 
-    /// Registers the moves and sequences of a file under the names that they have in the copy.
+    /// Registers the moves and sequences of a file under the names that they have in the copy with this index.
     pub(super) fn register(&mut self, node: &'a Node, file: u16, copy: usize) {
         let Node::Map(entries) = node else { return };
         let prefix = self.copies[copy].prefix.clone();
@@ -223,7 +223,8 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Replaces names of roles in the current copy by their global names.
+    /// Replaces names of roles by their names in the whole scenario, which have a prefix, if the included file that is being read defines
+    /// them.
     pub(super) fn cast(&self, reader: &Reader, mut names: Vec<Name>) -> Vec<Name> {
         names.iter_mut().for_each(|name| self.cast_name(reader, name));
         names
@@ -236,7 +237,8 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Replaces the name of a formation or a path in the current copy by its global name.
+    /// Replaces the name of a formation or a path by its name in the whole scenario. Names that the included file that is being read does
+    /// not define remain.
     pub(super) fn form_name(&self, reader: &Reader, group: &mut Together) {
         let own = |name: &str| format!("{}{name}", self.copies[reader.nesting.copy].prefix);
         let named = match &mut group.action {
@@ -338,7 +340,7 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Returns the move with this name, and reports a name that no move has.
+    /// Returns the move with the name `name`. Reports the name if there is no such move.
     pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("move", reader, name);
         // A wrong value of `moves` as a whole is already reported.
@@ -363,7 +365,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "move", name, part, place: at.place() })
     }
 
-    /// Returns the sequence with this name, and reports a name that no sequence has.
+    /// Returns the sequence with the name `name`. Reports the name if there is no such sequence.
     pub(super) fn sequence(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("sequence", reader, name);
         if found.is_none() && !reader.is_wrong("sequences") {
@@ -376,7 +378,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "sequence", name, part, place: at.place() })
     }
 
-    /// Searches for the name in the current copy first, then among all names.
+    /// Searches for a move or a sequence, first in the included file that is being read, then among all names. Marks it as used.
     fn find(&self, kind: &'static str, reader: &Reader, name: &str) -> Option<(String, Shared<'a>)> {
         let parts = self.parts(kind);
         let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
@@ -405,7 +407,7 @@ fn sorted(parts: &HashMap<String, Shared<'_>>) -> Vec<String> {
 }
 
 impl Library<'_> {
-    /// Returns the names of moves or sequences that nothing uses, so that their errors are reported as well.
+    /// Returns the names of moves or sequences that no cue uses. They are read separately, so that their errors are reported as well.
     pub(super) fn unused(&self, kind: &'static str) -> Vec<String> {
         let used = self.used.borrow();
         let names = self.parts(kind).keys().cloned();
@@ -421,7 +423,8 @@ fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
 }
 
-/// Returns the name of a variable or a parameter that is being defined, without a `$`. Reports a `$`, which belongs only to uses.
+/// Returns the name of a variable or a parameter that is being defined, without a `$`. Reports a `$`, because only uses of the name have
+/// it.
 pub(super) fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str, what: &str) -> &'n str {
     let Some(plain) = name.strip_prefix('$') else { return name };
     let message = format!("unexpected `$` in the definition of the {what} `{}`", shortened(name));

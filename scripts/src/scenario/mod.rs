@@ -73,7 +73,7 @@ pub(crate) struct Scenario {
     pub(crate) stop_condition: StopCondition,
     pub(crate) lease_place: Option<Place>,
     pub(crate) requirements: Requirements,
-    /// Place in the file of the required least distance between bodies; `None` if it is not required.
+    /// Place in the file of the required minimum distance between bodies; `None` if the scenario requires none.
     pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
     pub(crate) formations: HashMap<String, WrittenFormation>,
@@ -85,7 +85,7 @@ pub(crate) struct Scenario {
 /// What the scenario requires under `at_end`: devices move to their default values after a successful mission.
 #[derive(Clone, Debug)]
 pub(crate) struct AtEnd {
-    /// Duration of this movement; `None` if it follows from the limits of the devices.
+    /// Duration of the movement to the default values; `None` if it follows from the limits of the devices.
     pub(crate) over: Option<Span>,
     pub(crate) place: Place,
 }
@@ -96,11 +96,11 @@ pub(crate) struct Act {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) cues: Vec<Cue>,
-    /// Number of faults found in the act's cues, whose times may therefore be incomplete.
+    /// Number of faults that were found in the act's cues. If there are any, the times of the cues may be incomplete.
     pub(crate) faults: usize,
-    /// Zones with the order of their cues; the act's own zones are last. Acts without their own zones share a list.
+    /// Zones, each with the order of its cues; the act's own zones are last. Acts without their own zones share one list.
     pub(crate) zones: Arc<[(String, Order)]>,
-    /// Order of cues that `apart` separates.
+    /// Order of cues that must not overlap because of their key `apart`.
     pub(crate) order: Order,
     pub(crate) wait: WrittenWait,
     pub(crate) next: Option<Name>,
@@ -135,7 +135,7 @@ pub(crate) struct Cue {
     pub(crate) own: Vec<Movement>,
     /// For each robot of the cue, in order, the index of its movement in `own`; empty if there are none.
     pub(crate) own_of: Vec<Option<usize>>,
-    /// Delay of each robot's start after the start of the cue.
+    /// Delay of each robot's start, since the start of the cue.
     pub(crate) canon: Canon,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
@@ -146,12 +146,12 @@ pub(crate) struct Cue {
     pub(crate) group: Option<Together>,
     /// The group's movements; `None` if the robots' places were unknown when the cue was read.
     pub(crate) rehearsed: Option<Rehearsed>,
-    /// Default tolerance of the cue's tracks.
+    /// Default tolerance of the cue's tracks; `None` if the cue sets none.
     pub(crate) tolerance: Option<f64>,
     pub(crate) text: CueText,
 }
 
-/// The tracks that some robots of a cue play.
+/// The tracks that a cue plays on all or some of its robots.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Movement {
     pub(crate) tracks: Vec<Track>,
@@ -159,7 +159,7 @@ pub(crate) struct Movement {
     pub(crate) delay: Span,
     pub(crate) length: Span,
     pub(crate) repetition: Option<Repetition>,
-    /// Parameters that have no value. They are faults only if a robot plays the movement.
+    /// Parameters without a value. They are reported only if a robot plays the movement.
     pub(crate) unset: Vec<Unset>,
 }
 
@@ -177,13 +177,13 @@ pub(crate) struct Track {
     pub(crate) device: String,
     pub(crate) control: Option<ControlType>,
     pub(crate) motion: Motion,
-    /// Exact length of the track, before rounding to the clock.
+    /// Exact length of the track, before it is rounded to nanoseconds.
     pub(crate) length: Exact,
-    /// Exact delay of the track after the start of the movement, before rounding to the clock.
+    /// Exact delay between the start of the movement and the start of the track, before it is rounded to nanoseconds.
     pub(crate) begin: Exact,
-    /// Like `begin`, rounded to the clock.
+    /// Delay between the start of the movement and the start of the track, rounded to nanoseconds.
     pub(crate) starts: Span,
-    /// If a move plays several movements on the device, these movements; otherwise empty.
+    /// The movements that the track consists of, if a move plays several movements on the device; otherwise empty.
     pub(crate) pieces: Vec<Piece>,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
@@ -195,7 +195,7 @@ pub(crate) struct Track {
     pub(crate) items: Items,
     /// Place of the list of the track's items in the file.
     pub(crate) list: Place,
-    /// Items that depend on a parameter, each with the place of the argument.
+    /// Items that depend on a parameter, each with the place of the parameter's argument.
     pub(crate) given: Givens,
     /// The last change that the cue makes to all values of the track; `None` without such a change.
     pub(crate) changed: Option<Changed>,
@@ -207,7 +207,7 @@ pub(crate) struct Piece {
     /// Index of the piece's first item among all items of the track.
     pub(crate) first: u32,
     pub(crate) items: Items,
-    /// Place of the list of the piece's items in the file.
+    /// Place in the file of the list that contains the piece's items.
     pub(crate) list: Place,
 }
 
@@ -271,8 +271,8 @@ impl Reading {
 }
 
 impl Scenario {
-    /// Returns the latest time at which an act may end. It depends on the lead, because a script is sent with the sum of its start and
-    /// the lead.
+    /// Returns the latest time at which an act may end, since its start. The lead (time from the sending of scripts to the start) reduces
+    /// this time: a script is sent with the sum of its start and the lead.
     pub(crate) fn horizon(&self) -> Span {
         longest() - self.lead.unwrap_or_default().max(LEADS.1)
     }
@@ -284,7 +284,8 @@ impl Scenario {
 }
 
 impl Track {
-    /// Returns the kind of the item at this index, its index in its own list from 0 (`None` for a whole movement), and its place.
+    /// Returns the kind of the item with this index in the track, its index in its own list, and its place. The index in the list counts
+    /// from 0; it is `None` for a whole movement.
     pub(crate) fn item(&self, item: u32) -> (Items, Option<u32>, Place) {
         let (items, own, list) = match self.pieces.iter().rfind(|piece| piece.first <= item) {
             Some(piece) if item != u32::MAX => (piece.items, item - piece.first, &piece.list),
@@ -306,14 +307,14 @@ impl Track {
         self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given)
     }
 
-    /// Exact end of the track, before rounding to the clock.
+    /// Returns the exact end of the track, before it is rounded to nanoseconds.
     pub(crate) fn end(&self) -> Exact {
         self.begin.plus(self.length)
     }
 }
 
 impl Motion {
-    /// Memory usage of the motion, in knots.
+    /// Returns the memory that the motion takes, expressed as a number of knots.
     pub(crate) fn size(&self) -> usize {
         match self {
             Self::Curve(curve) => curve.size(),
@@ -343,7 +344,7 @@ pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
     })
 }
 
-/// Moves a finding about the fleet file to the place in the scenario that names the fleet file.
+/// Moves a finding about the fleet file to the place in the scenario where the scenario names this file.
 #[must_use]
 pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
     let mut reader = Reader::default();
@@ -504,7 +505,7 @@ pub(crate) fn read(
     Some(scenario)
 }
 
-/// Reads `home`, or a map of `home` with a duration.
+/// Reads the key `at_end`: `home`, or a map of `home` with a duration.
 fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
     let place = at.place();
     let Node::Map(_) = at.node else {
@@ -548,7 +549,7 @@ pub(crate) fn library_of<'a>(
     Some(shared(reader, documents, files, fleet, &keys))
 }
 
-/// Reads the lead: how early scripts are sent. The rest of the horizon remains for the act.
+/// Reads the lead (the time from the sending of scripts to the start). A longer lead leaves less time for the act.
 fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
     let (lead, (most, _)) = (reader.duration(at)?, LEADS);
     if lead > most {

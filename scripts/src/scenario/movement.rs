@@ -120,7 +120,7 @@ pub(super) struct Shaped {
     repetition: Option<Repetition>,
 }
 
-/// Reads the tracks of a move and the tracks written next to it, then maps, scales, mirrors, reverses and repeats them.
+/// Reads the tracks of a move and the cue's own tracks, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Option<Shaped> {
     if reader.knots.is_overdrawn() || reader.is_full() {
         return None;
@@ -164,12 +164,12 @@ pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shapi
     Some(Shaped { tracks, repetition })
 }
 
-/// Returns the exact end of the last track, before rounding to the clock.
+/// Returns the exact end of the last track, before it is rounded to nanoseconds.
 pub(super) fn length(tracks: &[Track]) -> Exact {
     tracks.iter().map(Track::end).max().unwrap_or_default()
 }
 
-/// Reverses each track within the length of the longest one.
+/// Reverses each track in time. The longest track determines the instant that becomes the start of all of them.
 fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let exact = length(tracks);
     let starts = |track: &Track| reader.music.start.lay(track.begin);
@@ -188,7 +188,8 @@ fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
 }
 
-/// Whether the budget has room for the tracks: every cue has its own copy of a move. Reports the first cue that exceeds it.
+/// Whether the budget has room for the tracks of a cue; each cue has its own copy of its move. Reports the first cue that exceeds the
+/// budget.
 fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
     // Played movements were already counted when they were read.
     let own = tracks.iter().filter(|track| track.pieces.is_empty());
@@ -353,7 +354,7 @@ fn affine(
     }
 }
 
-/// Transforms the tracks whose kind of motion supports it.
+/// Applies `change` to each track with one value at a time. Reports tracks with several values per keyframe, which cannot be changed.
 fn curves(
     tracks: &mut [Track],
     at: &At<'_>,
@@ -454,7 +455,7 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     None
 }
 
-/// Reads the interval between the starts of repetitions. It is at least the length of the movement.
+/// Reads the interval between the starts of repetitions, which must be at least the length of the movement.
 fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
     let cycle = reader.exact(at)?;
     if cycle >= once {

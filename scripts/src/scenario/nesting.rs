@@ -1,5 +1,5 @@
-//! Reading of nested parts: moves within moves, cues of sequences, files with parameters. Handles their parameters and the names visible
-//! to them. Limits prevent that reading follows a cycle, or a part that doubles at each level.
+//! Reads nested parts (moves within moves, cues of sequences, files with parameters), with their parameters and the names that are
+//! visible to them. Limits stop the reading of parts that use themselves, or that double at each level.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -29,8 +29,8 @@ impl Used<'_> {
         format!("the {} `{}`", self.kind, shortened(&self.name))
     }
 
-    /// Returns the use to which findings in the part refer. This omits a direct use of a move by a cue of the scenario, because findings
-    /// in the move are the same for all cues.
+    /// Returns the use of the part that findings in the part mention. If a cue of the scenario uses a move directly, that use is omitted:
+    /// findings in the move are the same for all cues.
     pub(super) fn told(&self, reader: &Reader, library: &Library<'_>) -> Option<Arc<Use>> {
         if self.kind == "move" && self.place.used.is_none() && reader.nesting.inside.is_empty() {
             return library.copies[self.part.copy].used.clone();
@@ -40,8 +40,8 @@ impl Used<'_> {
     }
 }
 
-/// Reads a used part with its parameters and the names that are visible in its own file. `None` if the part uses itself or is nested too
-/// deeply, which is reported.
+/// Reads a used part with its parameters and the names that are visible in its own file. If the part uses itself or is nested too deeply,
+/// reports this and returns `None`.
 pub(super) fn within<R>(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -73,7 +73,8 @@ pub(super) fn within<R>(
     Some(result)
 }
 
-/// Returns the place of each parameter's value. For a value that is passed on, this is the place where it was first given.
+/// Returns the place of each parameter's value. If a part passes on its own parameter, the place is where that parameter received its
+/// value.
 fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     let Node::Map(entries) = given.node else { return Vec::new() };
     let place = |(name, node): &(String, Node)| {
@@ -83,7 +84,7 @@ fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     entries.iter().map(place).collect()
 }
 
-/// Whether the part is already being read, or is nested too deeply. Reports either.
+/// Whether the part is already being read, or is nested too deeply. Reports both faults.
 fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     let inside = &reader.nesting.inside;
     let (place, depth) = (used.place.clone(), inside.len());
@@ -109,7 +110,7 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     false
 }
 
-/// Describes a cycle of parts, with the same text for every part at which it is entered.
+/// Describes a cycle of parts that use each other. The text does not depend on the part at which the cycle was entered.
 fn around(inside: &[String]) -> String {
     let least = (0..inside.len()).min_by_key(|index| &inside[*index]).unwrap_or(0);
     let mut chain = inside.iter().cycle().skip(least).take(inside.len());
@@ -122,7 +123,7 @@ fn around(inside: &[String]) -> String {
     }
 }
 
-/// Whether one more move may be played; reports the first move that may not.
+/// Whether one more move may be played. Reports the first move that exceeds the maximum.
 pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.has_too_many_plays() {
         return false;
@@ -138,7 +139,8 @@ pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     false
 }
 
-/// Returns the arguments for the part's parameters, with the values that variables have at the place of use.
+/// Returns the arguments that a use passes to the part's parameters. Variables in the arguments have the values that they have where the
+/// part is used.
 pub(super) fn arguments(
     reader: &mut Reader,
     used: &Used<'_>,
@@ -183,7 +185,7 @@ fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (Str
     entries.iter()
 }
 
-/// The kind of a value, as far as its written form shows it.
+/// The kind of a value, as far as it can be recognized from the text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Number,
@@ -219,14 +221,15 @@ fn is_word(text: &str) -> bool {
     text.starts_with(char::is_alphabetic) && !expression::is_one(text)
 }
 
-/// Whether both ends of a spread value have the kind of the parameter's default. Reports each end that does not.
+/// Whether both ends of a value that is spread over the robots (`from` and `to`) have the kind of the parameter's default. Reports each
+/// end that does not.
 fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) -> bool {
     let Node::Map(entries) = at.node else { return true };
     let ends = entries.iter().filter(|(key, _)| is_spread(at.node) && (key == "from" || key == "to"));
     ends.fold(true, |all, (key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end) && all)
 }
 
-/// Whether a value has the kind of the parameter's default; also true if the form of either does not show its kind. Reports a mismatch.
+/// Whether a value has the kind of the parameter's default. Also true if the text of either does not show its kind. Reports a mismatch.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
     let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
     if wanted == found || wanted == Kind::Word {

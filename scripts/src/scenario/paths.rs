@@ -1,4 +1,4 @@
-//! The key `paths`: names with routes through space, along which groups are carried.
+//! The key `paths`: named routes through space, along which groups move.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -103,7 +103,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
     }
 }
 
-/// Whether two neighbouring points of a path coincide. Reports them.
+/// Whether any two neighbouring points of a path coincide. Reports such points.
 fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -> bool {
     let count = placed.len();
     let next = |index: usize| (index + 1) % count;

@@ -124,7 +124,7 @@ fn later(start: Beginning, by: Exact) -> Beginning {
     Beginning(start.0.map(|start| start.plus(by)))
 }
 
-/// Stretches the tracks, with everything in them, from the length `from` to the length `to`.
+/// Stretches the tracks, including their pieces, from the length `from` to the length `to`.
 fn stretch(reader: &Reader, tracks: &mut [Track], from: Exact, to: Exact) {
     let Some(factor) = to.divided_by(from) else { return };
     let start = reader.music.start;
@@ -251,7 +251,7 @@ fn items_of(track: &Track) -> u32 {
     last.map_or(1, |last| last.saturating_add(1))
 }
 
-/// Returns the pieces of a track, with item indices that start at `first`, for a longer track that contains it.
+/// Returns the pieces of a track that becomes part of a longer track. The index of their first item there is `first`.
 fn pieces_of(track: &Track, first: u32) -> Vec<Piece> {
     if track.pieces.is_empty() {
         return vec![Piece { first, items: track.items, list: track.list.clone() }];

@@ -1,4 +1,5 @@
-//! The requirements of a scenario for starts, ends and distances: bounds that are checked, but not enforced while the scenario plays.
+//! The requirements of a scenario for the spread of starts, for successful missions and for distances. They are checked, but not enforced
+//! while the scenario plays.
 
 use super::kinds;
 use crate::duration;
@@ -69,7 +70,7 @@ enum Word {
 const WORDS: [(&str, Word); 4] =
     [("below", Word::Below), ("at most", Word::AtMost), ("above", Word::Above), ("at least", Word::AtLeast)];
 
-/// Splits a text into the word of a bound and the rest; `None` without such a word or rest.
+/// Splits a text into the word before a bound (such as `below`) and the rest; `None` if either is missing.
 fn cut(text: &str) -> Option<(Word, &str)> {
     let text = text.trim();
     let rest_of = |word: &str| {
@@ -81,12 +82,13 @@ fn cut(text: &str) -> Option<(Word, &str)> {
     WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
 }
 
-/// Returns the written form of the word.
+/// Returns the word as written in a scenario.
 fn word_of(word: Word) -> &'static str {
     WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text)
 }
 
-/// Splits a text into the word of a bound and the rest. Reports a text without one of the `fitting` words.
+/// Splits a text into the word before a bound (such as `below`) and the rest. Reports a text that does not begin with one of the words
+/// `fitting`.
 fn bound<'t>(
     reader: &mut Reader,
     at: &At<'_>,
@@ -166,7 +168,8 @@ fn with_point(text: &str, word: Word) -> Option<String> {
         .then(|| format!("write a decimal point: `{} {}`", word_of(word), text.replace(',', ".")))
 }
 
-/// Parses `99.9%` or `99.9 %`, with up to seven decimals. The unit is mandatory, so that 0.99 and 99 cannot be confused.
+/// Parses a percentage such as `99.9%` or `99.9 %`, with up to seven decimals. The unit is mandatory, so that 0.99 and 99 cannot be
+/// confused.
 fn share(text: &str, word: Word) -> Result<Share, Unfit> {
     let Some(number) = text.strip_suffix('%') else {
         let is_number = text.parse::<f64>().is_ok();

@@ -20,7 +20,7 @@ use crate::shown::shortened;
 use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
-/// Keys that a cue that plays a sequence may have.
+/// Keys that are permitted in a cue that plays a sequence.
 const CALL_KEYS: [&str; 10] =
     ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots", "note"];
 
@@ -69,7 +69,8 @@ pub(super) fn cues(
     std::iter::once(own).chain(inner).collect()
 }
 
-/// Whether a key remains in the cue that plays a sequence. Reports keys that such a cue does not accept.
+/// Whether a key belongs to the cue itself that plays a sequence, not to its call of the sequence. Reports keys that such a cue does not
+/// accept.
 fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     let is_of_call = CALL_KEYS.contains(&key);
     if !is_of_call && CueKeys::NAMES.contains(&key) {
@@ -83,7 +84,7 @@ fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     !is_of_call || !["sequence", "parameters", "robots"].contains(&key)
 }
 
-/// A cue of a sequence, or of a sequence that it plays.
+/// A cue of a sequence, or of a sequence within that sequence.
 struct Inner {
     cue: Cue,
     /// Whether the cue already has a relation to the cue that plays its sequence.
@@ -140,7 +141,7 @@ fn body(
     inner
 }
 
-/// Whether one more cue may be created; reports the first cue that may not.
+/// Whether one more cue may be created. Reports the first cue that exceeds the maximum.
 fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.cues.is_overdrawn() {
         return false;

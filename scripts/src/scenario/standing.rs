@@ -1,4 +1,4 @@
-//! Where the robots are in space while cues are read, in the order of the file.
+//! The places of the robots in space while cues are read, in the order of the file.
 
 use std::collections::HashMap;
 
@@ -39,7 +39,7 @@ pub(super) fn leave(group: &mut Group, library: &Library<'_>, cue: &Cue) -> Opti
     rehearsed
 }
 
-/// Moves each robot of a group to the end of its movement. If the movement is unknown, so is the robot's place afterwards.
+/// Moves each robot of a group to the end of its movement. If the movement is unknown, the robot's place is unknown afterwards.
 fn rehearse(group: &mut Group, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
     let asked = Asked { together, tolerance: cue.tolerance };
     let dancers = dancers(group, library, cue);

@@ -135,7 +135,7 @@ keys! {
 
 /// Number of cycles between two knots of a wave.
 const WAVE_CYCLES: f64 = 8.0;
-/// The item of a knot that has no number in the file.
+/// The item index of a knot that does not correspond to an item in the file.
 const NO_ITEM: u32 = u32::MAX;
 
 pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
@@ -146,7 +146,7 @@ pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_
     entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
 }
 
-/// A movement with its exact length, before rounding to the clock.
+/// A movement as written, with its exact length before it is rounded to nanoseconds.
 pub(super) struct Written {
     motion: Motion,
     length: Exact,
@@ -245,7 +245,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     })
 }
 
-/// Whether the map at `at` contains the tracks of several devices of a robot instead of the keys of one track.
+/// Whether the map at `at` contains tracks for several devices of a robot, instead of the keys of a single track.
 fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     let Node::Map(entries) = at.node else { return false };
     entries.iter().any(|(key, node)| {
@@ -255,7 +255,7 @@ fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     })
 }
 
-/// Whether the list at `at` contains keyframes in another notation. Reports it as a single fault.
+/// Whether the list at `at` contains keyframes in an unsupported notation. Reports the list as a single fault.
 fn told_as_keyframes(reader: &mut Reader, at: &At<'_>) -> bool {
     let Some(OtherForm { found, hints }) = as_keyframes(at) else { return false };
     reader.add_styled(at.place(), format!("found {found}"), KEYFRAMES, hints.map(Some));
@@ -568,7 +568,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact).with(depends))
 }
 
-/// The rate of a wave, as written.
+/// The frequency of a wave in the form in which it is written.
 enum Hertz {
     Frequency(f64),
     Period(Exact),
@@ -583,8 +583,8 @@ impl Hertz {
     }
 }
 
-/// Creates a wave with a knot after every [`WAVE_CYCLES`] cycles. The sections between these knots are equal, so that a long wave is
-/// fitted only once.
+/// Creates a wave with a knot after every [`WAVE_CYCLES`] cycles. All sections between these knots are equal, so only one of them has to
+/// be fitted.
 fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> Curve {
     let shape = |index| Shape::Function { index, gain: amplitude, offset: center, reversed: false };
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);

@@ -1,4 +1,4 @@
-//! Several values at once over time, for custom_N. All values of a track are stored in one list, because there may be a million.
+//! Several values at once over time, for `custom_N`. All values of a track are in a single list, because there may be a million.
 
 use urrcp::Span;
 
@@ -14,7 +14,7 @@ pub(crate) struct Vectors {
 struct Key {
     at: Span,
     item: u32,
-    /// Index in `values` after the last value of this keyframe.
+    /// Index in `values` of the first value after this keyframe.
     end: u32,
 }
 
@@ -89,7 +89,7 @@ impl Vectors {
         &self.values
     }
 
-    /// Replaces the time of each keyframe by `to` of this time.
+    /// Replaces the time of each keyframe by the result of `to` for that time.
     pub(crate) fn moved(mut self, to: impl Fn(Span) -> Span) -> Self {
         self.keys.iter_mut().for_each(|key| key.at = to(key.at));
         self

@@ -51,7 +51,7 @@ pub(super) struct Timing {
     pub(super) relations: Vec<Relation>,
     /// The start of the cue, if it is a single fixed time.
     pub(super) start: Beginning,
-    /// Delay of each robot, if `at` has different values for robots.
+    /// Delays of the robots, if `at` has a different value for each robot; `None` otherwise.
     pub(super) late: Option<Late>,
 }
 
@@ -124,7 +124,8 @@ fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<
     Some((first, Some(first)))
 }
 
-/// Rounds a time after `origin` to nanoseconds. If `origin` is known, the sum of both (a time of the act) is rounded instead.
+/// Rounds the duration `time`, which begins at `origin`, to nanoseconds. If `origin` is known, its end is rounded instead, so that
+/// consecutive durations add up.
 fn laid(origin: Beginning, time: Exact) -> Span {
     match origin.0 {
         Some(start) => start.plus(time).rounded() - start.rounded(),
@@ -200,7 +201,8 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
     Some((Target { cue: name.to_owned(), end }, gap))
 }
 
-/// Splits `a + 1s`, which precedes another time, into the cue and the time. A cue may be named `part - 1`.
+/// Splits a text such as `a + 1s` into the cue and the signed time, to detect a second time after it. The name of a cue may itself
+/// contain a sign, as in `part - 1`.
 fn gap_before(text: &str) -> Option<(&str, Span)> {
     let (name, gap) = text.rsplit_once(' ')?;
     let (name, sign) = name.rsplit_once(' ')?;
@@ -254,7 +256,7 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
     }
 }
 
-/// Reports a range without units. Returns whether `text` is such a range.
+/// Reports a range whose bounds have no units. Returns whether `text` is such a range.
 fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     let Some(hint) = duration::bare_range(text) else { return false };
     let message = format!("invalid range `{}`", shortened(text));
@@ -288,7 +290,7 @@ fn begin_of_act(text: &str) -> Option<String> {
     }
 }
 
-/// Checks that the first time is not larger than the second; each comes with its form for display.
+/// Checks that the first bound is not larger than the second one. Each bound comes with its text for display.
 fn in_order<T: PartialOrd>(
     reader: &mut Reader,
     at: &At<'_>,

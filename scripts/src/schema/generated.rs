@@ -261,7 +261,7 @@ fn rows(map: &Declaration, prefix: &str, table: &mut String) {
     }
 }
 
-/// Returns the map that values of this kind contain, if it occurs only in this kind.
+/// Returns the map that values of this kind contain, unless it also occurs in other kinds.
 fn inner(kind: &Kind) -> Option<&'static Declaration> {
     match kind {
         Kind::Keys(of) => {
@@ -275,7 +275,7 @@ fn inner(kind: &Kind) -> Option<&'static Declaration> {
     }
 }
 
-/// Inserts the tables of these maps' keys between their marks in a document.
+/// Inserts into a document a table of keys for each map, between the comments that mark its place.
 fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
     let mut document = document.to_owned();
     for (name, map) in maps {

@@ -125,7 +125,7 @@ cues:
 ",
 ];
 
-/// A fleet file that contains every map. The descriptions are those of other tests.
+/// A fleet file that contains every map. The descriptions of its robots are those of other tests.
 const FLEET: &str = "
 ntp: pool.ntp.org
 handshake: full
@@ -187,7 +187,7 @@ fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPa
     all
 }
 
-/// Returns the schema parts for values that are one step below these parts.
+/// Returns the parts of a schema that describe values one step further down than the parts `above`.
 fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<SchemaPart<'s>> {
     let inner = |(pointer, schema): &SchemaPart<'s>| {
         let (at, inner) = match step {
@@ -230,7 +230,8 @@ fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
-/// Returns the keys and words that the reader compared with documents, by the schema place that describes them.
+/// Returns the lists of keys and words that the reader compared with documents. Each list is stored under the place in the schema that
+/// describes it.
 fn known(root: &Value, recorded: Vec<Known>) -> Lists {
     let mut lists = Lists::new();
     for known in recorded {
@@ -288,7 +289,7 @@ fn the_schema_of_scenarios_lists_what_is_read() {
     check(Schema::Scenario, known);
 }
 
-/// Returns the same file under every name.
+/// A source of files that returns the same file for every name.
 struct OneFile;
 
 impl Files for OneFile {

@@ -1,4 +1,4 @@
-//! Compensated latencies: commands precede motions, and motions relate to each other as written.
+//! Compensation for latencies: commands are earlier than motions, and the motions relate to each other as written.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ acts:
       - {cue: last, at: 40ms, robots: [a], tracks: {d: [{at: 0s, to: 45}, {at: 1s, to: 0}]}}
 ";
 
-/// Compiles a show for the robots `a`, `b` and `c` with these latencies in nanoseconds; `None` for an unknown latency.
+/// Compiles a show for the robots `a`, `b` and `c`, whose latencies are given in nanoseconds; `None` for an unknown latency.
 fn compiled(latencies: [Option<i64>; 3]) -> Choreography {
     let delayed = |(name, nanos): (&str, Option<i64>)| {
         let mut robot = robot();

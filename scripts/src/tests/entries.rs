@@ -1,4 +1,4 @@
-//! Jumps of devices after each transition between acts.
+//! Jumps of devices at the beginning of acts, after each transition between acts.
 
 use crate::{Address, Code, Finding, Fleet, FleetRobot, NoFiles, Severity, Source, compile};
 

@@ -1,4 +1,4 @@
-//! Applies figures in hints to the scenario. Each figure must be sufficient, and no larger than necessary.
+//! Applies the numbers that hints suggest to the scenario. Each number must be sufficient, and no larger than necessary.
 
 use super::groups::{drone, drone_on};
 use crate::space::{Coordinate, Space};
@@ -43,7 +43,7 @@ fn edits(hint: &str) -> Vec<(&str, &str)> {
     hint.split('`').skip(1).step_by(2).filter_map(|edit| edit.split_once(": ")).collect()
 }
 
-/// Changes the value of a key, or adds the key to the formation.
+/// Changes the value of a key in a scenario. If the key is missing, adds it to the formation.
 fn edited(text: &str, (key, value): (&str, &str)) -> String {
     let Some(begin) = text.find(&format!("{key}: ")) else {
         return text.replacen(", at: [", &format!(", {key}: {value}, at: ["), 1);
@@ -58,7 +58,7 @@ fn edited(text: &str, (key, value): (&str, &str)) -> String {
     format!("{}{value}{}", &text[..begin], &rest[end..])
 }
 
-/// Applies the hint of the only fault to the text.
+/// Applies the hint of the only fault to the text, checks that no fault remains, and returns the hint.
 #[track_caller]
 fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
     let (found, hint) = fault(fleet, text);

@@ -1,4 +1,4 @@
-//! Evaluates groups of bodies a second time: samples positions from the steps of the plan, without the compiler's own paths.
+//! A second evaluation of groups of bodies: positions are sampled from the steps of the plan, without the compiler's own paths.
 
 use std::fmt::Write as _;
 
@@ -160,7 +160,7 @@ fn the_time_that_a_way_needs_is_enough_for_it() {
     assert!(compiled(1, &text(needed)).findings.is_empty(), "{expected}");
 }
 
-/// Returns the findings about unknown places in a scenario of acts.
+/// Returns the findings that report robots at unknown places, in a scenario of acts.
 fn lost(text: &str) -> Vec<String> {
     let found = compiled(2, text).findings;
     found
@@ -493,7 +493,7 @@ fn a_time_is_enough_for_steps_of_axes_at_different_times() {
     assert_eq!(enough(&fleet(3), "", &format!("{cue}, over: {over}")), None, "{over}");
 }
 
-/// Returns the time that suffices, from the hint of the finding about a group that would move too fast; `None` without such a finding.
+/// Returns the sufficient time that the hint suggests for a group that would move too fast; `None` if there is no such finding.
 fn enough(fleet: &Fleet, formations: &str, cue: &str) -> Option<String> {
     let text = format!("scenario: s\nformations: {{{formations}}}\ncues: [{{at: 0s, robots: all, {cue}}}]\n");
     let found = compile(&Source { name: "s.yaml".into(), text }, fleet, &NoFiles).findings;

@@ -29,7 +29,7 @@ fn act(granularity: f64, track: &str) -> Act {
     choreography.acts.into_iter().next().unwrap()
 }
 
-/// Writes a track that rises over three seconds, with an additional key.
+/// Writes a track that rises to a value over three seconds. `wish` is an additional key of the track.
 fn rise(wish: &str, to: f64) -> String {
     format!("{{{wish}, keyframes: [{{at: 0s, to: 0}}, {{at: 3s, to: {to}, ease: smooth}}]}}")
 }

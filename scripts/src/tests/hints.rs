@@ -94,7 +94,7 @@ fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<St
     Some(replaced(text, related.line, related.column, related.width, value))
 }
 
-/// Delays all keyframes after a column of a line.
+/// Delays all keyframes that follow a column in a line by a number of seconds.
 fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     let whole = text.lines().nth(line - 1).unwrap();
     let (before, rest) = whole.split_at(column - 1);
@@ -112,7 +112,7 @@ fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     text.replace(whole, &format!("{before}{}", parts.join("at: ")))
 }
 
-/// Returns the texts after the edits that a hint suggests; empty if the hint leaves the edit to the user.
+/// Returns the text with each edit that a hint suggests; empty if the hint leaves the edit to the user.
 fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     let at_place = |new: &str| replaced(text, finding.line, finding.column, finding.width, new);
     let words = quoted(hint);

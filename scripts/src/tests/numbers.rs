@@ -131,7 +131,7 @@ fn decimal(range: std::ops::Range<i128>) -> impl Strategy<Value = (String, i128)
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// The check uses integers: times are fractions of nanoseconds, compared by cross-multiplication.
+    /// The check uses exact numbers: times are fractions of nanoseconds, compared by cross-multiplication of integers.
     #[test]
     fn repeated_music_ends_where_its_bars_end(
         (first, first_hundredths) in decimal(4_000..25_000),
@@ -184,7 +184,7 @@ fn cues_that_follow_each_other_in_beats_are_never_later_than_the_bar() {
     }
 }
 
-/// Writes pieces of a straight line or a curve, with gaps between their values.
+/// Writes pieces of a straight line or a curve, with jumps of `gap` between the pieces.
 fn polynomial(gap: f64, curve: f64) -> String {
     let piece = |i: usize| {
         let begin = 0.471 * i as f64 + if i % 2 == 1 { gap } else { 0.0 };

@@ -1,4 +1,4 @@
-//! One fault, one finding: consequences are not reported, and the fault is reported at its own place.
+//! Each fault causes one finding: its consequences are not reported, and it is reported at its own place.
 
 use super::composed::compiled_with;
 

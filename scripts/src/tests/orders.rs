@@ -7,7 +7,7 @@ use urrcp::Span;
 
 use crate::{NoFiles, PlannedCue, Source, compile, read_fleet};
 
-/// Returns the section of the documentation about this order.
+/// Returns the section of the documentation about the order in which keys change a movement.
 fn section() -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let document = std::fs::read_to_string(root.join("docs/scenario.md")).unwrap();

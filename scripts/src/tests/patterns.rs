@@ -1,4 +1,5 @@
-//! Patterns over a group. A scenario with a pattern compiles to the same result as one with every time and number written out.
+//! Patterns over a group of robots. A scenario with a pattern compiles to the same result as one in which every time and number is
+//! written out.
 
 use std::collections::BTreeMap;
 
@@ -87,7 +88,7 @@ fn same(with: &str, without: &str) {
     }
 }
 
-/// Checks that a group with a canon is equivalent to a cue in which each robot has one of these delays.
+/// Checks that a cue with a canon is equivalent to a cue with a separate delay for each robot, from the list `delays`.
 #[track_caller]
 fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
@@ -102,7 +103,8 @@ fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     );
 }
 
-/// Checks that a value that differs between the robots of a group is equivalent to these values written out.
+/// Checks that a value that differs between the robots of a group is equivalent to a separate value for each robot, from the list
+/// `values`.
 #[track_caller]
 fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
     let tracks = |value: &str| {

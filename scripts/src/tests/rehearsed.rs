@@ -1,4 +1,4 @@
-//! Patterns by place after movements of groups. Positions are sampled from the steps of the plan.
+//! Patterns that depend on the places of robots after movements of groups. Positions are sampled from the steps of the plan.
 
 use super::groups::{compiled, places, sound, steps};
 

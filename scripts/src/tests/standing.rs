@@ -1,11 +1,11 @@
-//! Bodies that are too close to each other, or merely present, without moving.
+//! Bodies that are too close to each other although neither of them moves.
 
 use super::groups::drone;
 use crate::space::Space;
 use crate::{Code, Compiled, Fleet, NoFiles, Source, compile};
 
-/// Returns two balls with a radius of 0.1 m and 0.25 m between their middles, where 0.1 m are required between surfaces, and a distant
-/// ball.
+/// Returns three balls with a radius of 0.1 m. The middles of two are 0.25 m apart, the third one is far away. Surfaces must be at least
+/// 0.1 m apart.
 fn near() -> Fleet {
     let robots = vec![drone(0, [0.0; 3]), drone(1, [0.25, 0.0, 0.0]), drone(2, [9.0, 0.0, 0.0])];
     let space = Space { distance: Some(0.1), ..Space::default() };

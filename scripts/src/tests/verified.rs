@@ -12,7 +12,7 @@ use held::{Held, Values, as_few_as_can_be};
 use super::numbers::{compiled_with, steps, used};
 use crate::{Act, Code, DeviceUse};
 
-/// Milliseconds around a jump within which the values before and after it are both accepted.
+/// Distance from a jump, in milliseconds, within which the value before the jump and the value after it are both accepted.
 pub(super) const NEAR: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,18 +35,18 @@ pub(super) struct Way {
 #[derive(Clone, Debug)]
 pub(super) enum Form {
     Eased(Ease, f64, f64),
-    /// Coefficients of a polynomial of the seconds since the section's start.
+    /// Coefficients of a polynomial in the seconds since the section's start.
     Polynomial(Vec<f64>),
-    /// Amplitude, period in seconds, phase in cycles, and center.
+    /// A sine wave: its amplitude, its period in seconds, its phase in cycles, and its centre.
     Wave([f64; 4]),
-    /// |a + b t| + c, where t is in seconds from the section's start
+    /// The function |a + b t| + c, where t is the time since the section's start in seconds.
     Bent([f64; 3]),
-    /// a t sin(2 pi t / b) + c
+    /// The function a t sin(2 pi t / b) + c, where t is the time since the section's start in seconds.
     Growing([f64; 3]),
 }
 
 impl Form {
-    /// Returns the value when the share `s` of the section, which lasts `seconds`, has passed.
+    /// Returns the value after the share `s` of the section, whose whole duration is `seconds`.
     fn at(&self, s: f64, seconds: f64) -> f64 {
         match self {
             Self::Eased(ease, from, to) => {
@@ -68,7 +68,7 @@ impl Form {
     }
 }
 
-/// A movement as written, with its sections, which define its meaning.
+/// A movement as written, and the sections that define its meaning.
 #[derive(Clone, Debug)]
 pub(super) struct Movement {
     pub(super) yaml: String,
@@ -89,9 +89,9 @@ pub(super) struct Change {
     shift: f64,
     pub(super) backwards: bool,
     pub(super) turns: u32,
-    /// Time from the end of a repetition to the start of the next one in milliseconds; `None` if it is not written.
+    /// Time between the end of a repetition and the start of the next one, in milliseconds; `None` if it is not written.
     pub(super) pause: Option<f64>,
-    /// Duration to which the movement is stretched, in milliseconds.
+    /// Duration to which the movement is stretched, in milliseconds; `None` if it is not stretched.
     pub(super) duration: Option<f64>,
 }
 
@@ -99,7 +99,7 @@ pub(super) struct Change {
 pub(super) const EVERY: &str = "EVERY";
 
 impl Change {
-    /// Returns a change that changes nothing.
+    /// Returns a change that leaves movements as they are.
     pub(super) fn none() -> Self {
         Self {
             yaml: String::new(),
@@ -112,7 +112,7 @@ impl Change {
         }
     }
 
-    /// Returns this change with a scaling of the values before everything else.
+    /// Returns a copy of the change that first scales the values by the factor `by` about the value `about`.
     pub(super) fn scaled(&self, by: f64, about: f64) -> Self {
         let shift = self.shift + self.factor * about * (1.0 - by);
         Self { factor: self.factor * by, shift, ..self.clone() }
@@ -123,19 +123,19 @@ impl Change {
         once + self.pause.unwrap_or(0.0)
     }
 
-    /// Returns the length of all repetitions as written, in milliseconds, if one lasts `once`.
+    /// Returns the length of all repetitions as written, in milliseconds, if a single repetition lasts `once` milliseconds.
     pub(super) fn whole(&self, once: f64) -> f64 {
         self.cycle(once) * f64::from(self.turns) - self.pause.unwrap_or(0.0)
     }
 
-    /// Returns the changed value.
+    /// Returns the value after the change.
     pub(super) fn of(&self, value: f64) -> f64 {
         self.shift + self.factor * value
     }
 }
 
 impl Movement {
-    /// Creates a track of keyframes, given in milliseconds and values, that a device plays as written.
+    /// Creates a movement from keyframes (milliseconds and values). The device plays them without further steps.
     pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(f64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
         let way = |pair: &[(f64, f64)]| {
@@ -150,7 +150,7 @@ impl Movement {
     }
 }
 
-/// Returns the value at a time of a movement after all changes. At a jump, this may be the value before or after it.
+/// Returns the value that a movement has at a time, after all changes. At a jump, this may be the value before or after the jump.
 pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     let once = length(&movement.ways);
     let cycle = change.cycle(once);
@@ -180,7 +180,7 @@ pub(super) fn final_value(movement: &Movement, change: &Change) -> f64 {
     })
 }
 
-/// Returns the value of the device at a time when it plays these steps.
+/// Returns the value that a device has at a time if it plays the steps `steps`.
 pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
     let after = steps.partition_point(|step| step.0 <= millis);
     let before = steps[after.saturating_sub(1)];
@@ -192,7 +192,7 @@ pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
     }
 }
 
-/// Returns the sampled times: evenly distributed ones, and both sides of every possible jump.
+/// Returns the times at which values are compared: evenly distributed times, and both sides of every possible jump.
 pub(super) fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
     let once = length(&movement.ways);
     let (cycle, all_turns) = (change.cycle(once), change.whole(once));
@@ -277,7 +277,7 @@ fn samples(linear: bool) -> impl Strategy<Value = Movement> {
     })
 }
 
-/// Draws pieces that meet, except for tiny gaps or jumps.
+/// Draws pieces of polynomials that meet, except for tiny gaps or jumps.
 fn polynomial() -> impl Strategy<Value = Movement> {
     let gap = prop_oneof![2 => Just(0.0), 2 => (-80i32..80).prop_map(|gap| f64::from(gap) * 1e-6), 1 => (-8i32..8).prop_map(f64::from)];
     let piece = (50i32..1_500, prop::collection::vec(-40i32..40, 1..5), gap);
@@ -307,7 +307,7 @@ fn wave() -> impl Strategy<Value = Movement> {
     })
 }
 
-/// Draws a movement that starts from a value at a growing speed.
+/// Draws a movement that starts at a value and becomes faster.
 fn travel() -> impl Strategy<Value = Movement> {
     (-40i32..40, -20i32..20, -12i32..12, 200i32..5_000).prop_map(|(from, speed, acceleration, millis)| {
         let (from, speed, acceleration) =
@@ -477,7 +477,7 @@ pub(super) fn changes() -> impl Strategy<Value = Change> {
     })
 }
 
-/// Draws a tolerance: none, or halves, which are multiples of most grids, or any number.
+/// Draws a tolerance: none, a multiple of one half (which suits most grids), or any number of hundredths.
 pub(super) fn tolerances() -> impl Strategy<Value = Option<f64>> {
     prop_oneof![
         2 => Just(None),
@@ -533,8 +533,8 @@ fn verify(
     as_far_off(device, worst, last.max(first), (used.worst_error, tolerance))
 }
 
-/// Checks that the reported error equals `worst`, the error that was found and its time in milliseconds from the start, and is
-/// permitted. The last step and values on the grid may deviate by more than the sampled error.
+/// Checks that the plan reports an error that is permitted and equal to `worst`, up to rounding. `worst` is the sampled error, with its
+/// time in milliseconds from the start. The last step and values on the grid may deviate by more than the sampled error.
 pub(super) fn as_far_off(
     who: &str,
     worst: (f64, f64),
@@ -550,7 +550,7 @@ pub(super) fn as_far_off(
     Ok(())
 }
 
-/// Checks a track with `max_steps`: it has at most this number of steps. For a device that is set from value to value, its error does
+/// Checks that a track with `max_steps` has at most that number of steps. If the device holds its values, also checks that the error does
 /// not exceed the smallest possible one.
 fn with_so_many(
     used: &DeviceUse,
@@ -577,8 +577,8 @@ fn with_so_many(
     Ok(())
 }
 
-/// Returns the least error if at most `most` consecutive values on a grid hold these levels, by trying every possible last level of
-/// each.
+/// Returns the least error with which at most `most` consecutive values on a grid can represent the given sequence of levels. Tries every
+/// way to divide the sequence.
 fn least_error(levels: &[f64], most: usize, values: Values) -> f64 {
     let held = |part: &[f64]| {
         let low = part.iter().copied().fold(f64::INFINITY, f64::min);

@@ -20,7 +20,7 @@ pub enum Bound {
     Max,
 }
 
-/// A minimal set of bounds that cannot all hold: without any one of them, the others can.
+/// A minimal set of bounds that cannot all hold: if any one of them is removed, the others can.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conflict {
     /// The bounds as a cycle of events: each link begins where the previous one ends.
@@ -36,11 +36,11 @@ pub struct Conflict {
 pub struct Link {
     /// The constraint that has the bound; `None` for the implicit bound "not before the origin".
     pub constraint: Option<ConstraintId>,
-    /// Which bound of the constraint.
+    /// The kind of the bound: lower or upper.
     pub bound: Bound,
-    /// The constraint's own `from`, also for an upper bound.
+    /// The constraint's `from`, regardless of the kind of the bound.
     pub from: Event,
-    /// The constraint's own `to`, also for an upper bound.
+    /// The constraint's `to`, regardless of the kind of the bound.
     pub to: Event,
     /// Value of the bound.
     pub span: Span,
@@ -158,8 +158,8 @@ fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
     cycle
 }
 
-/// Returns, for each bound of the cycle that has one, the smallest loosening that leaves no positive cycle anywhere. Without the bound,
-/// the network must be consistent; then the longest path from the bound's end back to its start limits the bound's value.
+/// Returns the smallest sufficient loosening of each bound of the cycle whose loosening alone makes the network consistent. The network
+/// must then also be consistent without the bound. The longest path from the bound's end back to its start limits the bound's value.
 fn corrections(network: &Network, arcs: &Arcs, cycle: &[Arc]) -> Vec<Correction> {
     let mut corrections = Vec::new();
     let mut work = 0usize;

@@ -94,7 +94,8 @@ impl Network {
         self.graph.node_count()
     }
 
-    /// Sum of the absolute values of all lower bounds. No schedule without unnecessary waiting is longer.
+    /// Returns an upper bound on the length of every schedule without unnecessary waiting: the sum of the absolute values of all lower
+    /// bounds.
     #[must_use]
     pub fn total(&self) -> Span {
         let mins = self.graph.edge_weights().filter_map(|bounds| bounds.min);

@@ -8,7 +8,7 @@ use super::tabu;
 /// A task that occupies a zone from its start to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Task {
-    /// Event at which the task occupies the zone.
+    /// Event at which the task begins to occupy the zone.
     pub start: Event,
     /// Event at which the task leaves the zone.
     pub end: Event,

@@ -1,5 +1,5 @@
-//! A job shop in a temporal network, in the form for the search for an order: heads and tails of tasks, the times of an order, and
-//! bounds that rate it.
+//! A job shop in a temporal network, as the search for an order uses it: heads and tails of tasks, the times of an order, and bounds that
+//! rate it.
 
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 
@@ -29,7 +29,7 @@ pub(super) struct Shop<'a> {
     pub(super) backward: Vec<Vec<(usize, i64)>>,
     /// Upper bounds (from, to, weight): to <= from + weight
     pub(super) upper: Vec<(usize, usize, i64)>,
-    /// Earliest time of each event without any order of the tasks.
+    /// Earliest time of each event as long as the tasks are not ordered.
     pub(super) heads: Vec<i64>,
     pub(super) tails: Vec<i64>,
     pub(super) work: usize,
@@ -47,7 +47,7 @@ pub(super) struct Timed {
 }
 
 pub(super) const NONE: usize = usize::MAX;
-/// Maximum number of passes that postpone events to meet upper bounds. After these, the order counts as violating them.
+/// Maximum number of passes that postpone events to meet upper bounds. After that, the order is considered to violate these bounds.
 const ROUNDS_MAX: usize = 64;
 
 impl<'a> Shop<'a> {

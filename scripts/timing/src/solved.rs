@@ -9,7 +9,7 @@ use super::network::{Bounds, ConstraintId, Network, Schedule};
 
 /// Weight of a missing bound.
 const ABSENT: i64 = i64::MIN;
-/// Parent of events whose time the origin determines, or nothing.
+/// Value of `Node::parent` for events without a parent: the origin determines their time, or nothing does.
 const NO_PARENT: u32 = u32::MAX;
 
 /// A network with its earliest schedule.
@@ -232,9 +232,9 @@ impl Solved {
         self.sweep(to, to, Some(begin))
     }
 
-    /// Raises all nodes that depend on the marked nodes from `first` to `last`. Nodes are sorted by their first times, so most
-    /// dependents of a node come after it. One pass in that order suffices for these; another pass handles nodes that were raised behind
-    /// the current one.
+    /// Raises all nodes that depend on the marked nodes from `first` to `last`. Nodes are sorted by their first times, so most dependents
+    /// of a node come after it. One pass in that order suffices for these; another pass handles nodes before the current one that were
+    /// raised meanwhile.
     fn sweep(&mut self, first: u32, last: u32, begin: Option<u32>) -> bool {
         let (mut from, mut last) = (Some(first), last);
         while let Some(mut node) = from.take() {

@@ -217,7 +217,7 @@ proptest! {
     }
 }
 
-/// Tries to order two tasks of one zone; the second one begins together with or near another event.
+/// Orders two tasks of one zone, whose events have the given bounds. Returns the makespan; `None` if no order is found.
 fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64> {
     let mut network = Network::new();
     let mut events = vec![network.origin()];

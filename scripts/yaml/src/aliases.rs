@@ -1,5 +1,5 @@
-//! Limits aliases. They can repeat values many times, so a few lines of aliases could exhaust any memory. A parser that builds no tree
-//! counts the values beforehand.
+//! Limits YAML aliases. An alias repeats a value, and aliases of aliases multiply: a few lines could exhaust any memory. The values are
+//! therefore counted before the tree is built, by a parser that builds none.
 
 use saphyr_parser::Event;
 
@@ -8,14 +8,14 @@ use crate::finding::{Code, Finding};
 use crate::render::line_of;
 use crate::source::Source;
 
-/// Maximum number of values that all aliases of a file expand to.
+/// Maximum number of values to which all aliases of a file may expand.
 pub const ALIASED_MAX: usize = 250_000;
-/// Maximum nesting depth that is inspected.
+/// Maximum nesting depth up to which values are counted. Files that nest more deeply are rejected elsewhere.
 const NESTING_MAX: usize = 1_000;
-/// Maximum length of the line that a finding carries, in characters.
+/// Maximum length of the source line in a finding, in characters. Longer lines are cut.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// The finding for aliases that expand to too many values. Invalid YAML is not reported here, but by the parser that builds the tree.
+/// Returns a finding if the aliases expand to too many values. Invalid YAML is not reported here, but by the parser that builds the tree.
 pub fn check(source: &Source, text: &str) -> Option<Finding> {
     if !text.contains('*') || exceeding(text).is_none() {
         return None;
@@ -37,7 +37,7 @@ struct Open {
     values: usize,
 }
 
-/// The line and column at which the aliases exceed their limit; `None` if they do not.
+/// Returns the line (from 1) and column (from 0) of the alias that exceeds [`ALIASED_MAX`]; `None` if no alias does.
 fn exceeding(text: &str) -> Option<(usize, usize)> {
     let mut sizes: Vec<usize> = Vec::new();
     let mut open: Vec<Open> = Vec::new();

@@ -1,4 +1,4 @@
-//! A node of a tree with the path that leads to it. The path determines the places of findings.
+//! A node of a YAML tree with the path that leads to it. Findings refer to their places by these paths.
 
 use std::sync::Arc;
 
@@ -21,27 +21,27 @@ enum Trail<'a> {
 }
 
 impl<'a> At<'a> {
-    /// The root of a file; `file` is 0 for the scenario itself.
+    /// Creates the root of a file. `file` is the number of the file: 0 for the scenario itself.
     pub fn document(node: &'a Node, file: u16) -> Self {
         Self { node, trail: Trail::Document(file, None) }
     }
 
-    /// The root of a file; `used` is the place that led to reading the file, such as an include.
+    /// Creates the root of a file. `used` is the use that led to reading the file, such as an include.
     pub fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
         Self { node, trail: Trail::Document(file, used) }
     }
 
-    /// Another node, with the place of this one.
+    /// Returns another node with the place of this one.
     pub fn with(&self, node: &'a Node) -> At<'a> {
         At { node, trail: self.trail }
     }
 
-    /// The item with this index, if this node is a list.
+    /// Returns an item of this node, which is a list.
     pub fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
         At { node, trail: Trail::Index(self, index) }
     }
 
-    /// The value of a key, if this node is a map. `occurrence` counts equal keys from 0.
+    /// Returns the value of a key of this node, which is a map. `occurrence` counts equal keys from 0.
     pub fn entry(&'a self, key: &'a str, occurrence: usize, node: &'a Node) -> At<'a> {
         At { node, trail: Trail::Key(self, key, occurrence) }
     }

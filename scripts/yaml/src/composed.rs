@@ -1,7 +1,8 @@
-//! Names in Unicode. A name may have several encodings; names are compared in normalization form C (Unicode Standard Annex 15). File
-//! names on macOS, and texts copied from them, are decomposed.
+//! Unicode normalization of names. The same name may be encoded in several ways: file names on macOS, and texts copied from them, are
+//! decomposed. Names are therefore compared in normalization form C (Unicode Standard Annex 15).
 //!
-//! Names in scenarios are composed when they are read. Names of robots and devices stay as they are, because robots compare bytes.
+//! Names in scenarios are converted to form C when they are read. Names of robots and devices remain unchanged, because robots compare
+//! bytes.
 
 use std::borrow::Cow;
 
@@ -12,12 +13,12 @@ pub fn composed(name: &str) -> Cow<'_, str> {
     if name.is_ascii() { Cow::Borrowed(name) } else { ComposingNormalizerBorrowed::new_nfc().normalize(name) }
 }
 
-/// Whether two names differ at most in their encoding.
+/// Whether two names are equal after normalization, even if they are encoded differently.
 pub fn is_same(a: &str, b: &str) -> bool {
     a == b || !(a.is_ascii() && b.is_ascii()) && composed(a) == composed(b)
 }
 
-/// Puts a text into normalization form C.
+/// Converts a text to normalization form C in place.
 pub fn compose_text(text: &mut String) {
     if let Cow::Owned(composed) = composed(text) {
         *text = composed;

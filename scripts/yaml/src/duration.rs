@@ -1,4 +1,4 @@
-//! Durations as people write them: `2s`, `250ms`, `1m30s`, `1.5s`, `00:01:30`.
+//! Parses and writes durations as people write them: `2s`, `250ms`, `1m30s`, `1.5s`, `00:01:30`.
 
 use urrcp::Span;
 
@@ -7,13 +7,13 @@ use crate::budget::longest;
 /// The expected form of a duration, for messages.
 pub const EXPECTED: &str = "a time with its unit, such as 250ms, 2s or 1m30s";
 
-/// Maximum number of digits before the decimal point. Digits after the decimal point beyond this number are ignored.
+/// Maximum number of digits before the decimal point. As many are read after it; further ones are ignored.
 const DIGITS_MAX: usize = 15;
-/// Number of parts of a nanosecond that are distinguished before a time is rounded.
+/// Number of parts into which a nanosecond is divided while a time is computed, before it is rounded.
 const PARTS: i128 = 1_000_000_000;
 
-/// Parses a time to the nearest nanosecond: numbers with h, m, s, ms or us, which are added up, or hours, minutes and seconds such as
-/// `00:01:30.5`. `None` if it is anything else or longer than 1e11 ms.
+/// Parses a time, and rounds it to the nearest nanosecond. A time is a sum of numbers with h, m, s, ms or us, or has the form
+/// `00:01:30.5` (hours, minutes, seconds). `None` if the text is anything else, or the time is longer than 1e11 ms.
 #[must_use]
 pub fn parse_duration(text: &str) -> Option<Span> {
     let mut rest = text.trim();
@@ -36,7 +36,7 @@ pub fn parse_duration(text: &str) -> Option<Span> {
     (span.as_millis_f64() <= urrcp::OFFSET_MS_MAX).then_some(span)
 }
 
-/// The product of a number and its unit, in parts of a nanosecond ([`PARTS`]).
+/// Returns the product of a number and its unit, in parts of a nanosecond ([`PARTS`]). `None` if the number is invalid or too long.
 fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
     let plain = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -49,7 +49,8 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
-/// The kind of instant that the user wrote where a duration belongs, such as `2026-12-01` or `8pm`. `None` if the text is no instant.
+/// Recognizes an instant that a user wrote where a duration belongs: a date such as `2026-12-01`, or a time of day such as `8pm`. Returns
+/// its kind; `None` for any other text.
 pub fn instant(text: &str) -> Option<&'static str> {
     let is_number = |part: &str, most: usize| {
         (1..=most).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit())
@@ -68,7 +69,7 @@ pub fn instant(text: &str) -> Option<&'static str> {
     hours.split(':').all(|part| is_number(part, 2)).then_some("time of day")
 }
 
-/// A hint for a range without a unit at one end or at both ends: `1..3`, `1..3s`, `bar 4..8`.
+/// Returns a hint for a range that lacks the unit at one end or at both: `1..3`, `1..3s`, `bar 4..8`.
 pub fn bare_range(text: &str) -> Option<String> {
     let (from, to) = text.split_once("..")?;
     let (from, to) = (from.trim(), to.trim());
@@ -88,14 +89,14 @@ pub fn bare_range(text: &str) -> Option<String> {
     }
 }
 
-/// A hint for `4-8`, which may be a range, or a bar and a beat.
+/// Returns a hint for two numbers such as `4-8`, which may mean a range, or a bar and a beat.
 pub fn of_two_numbers(text: &str) -> Option<String> {
     let (from, to) = text.split_once('-')?;
     let [from, to] = [from.trim().parse::<u32>().ok()?, to.trim().parse::<u32>().ok()?];
     Some(format!("write a range as `{from}s..{to}s`, or a position in the music as `bar {from} beat {to}`"))
 }
 
-/// A hint for a position in the music in an unknown form: `bar 4.2`, `bars 4-8`, `4 beat 2`.
+/// Returns a hint for a position in the music that is written in an invalid form: `bar 4.2`, `bars 4-8`, `4 beat 2`.
 pub fn position(text: &str) -> Option<String> {
     let mut words = text.split(|c: char| !c.is_ascii_alphabetic()).filter(|word| !word.is_empty());
     if !words.all(|word| matches!(word, "bar" | "bars" | "beat" | "beats")) || !text.contains('b') {
@@ -113,7 +114,7 @@ pub fn position(text: &str) -> Option<String> {
     }
 }
 
-/// A hint for a time in a form that a human would understand: `1:30`, `1 second`, `0,3s`.
+/// Returns a hint for a time in a form that only people understand: `1:30`, `1 second`, `0,3s`.
 pub fn hint(text: &str) -> Option<String> {
     let text = text.trim();
     if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
@@ -169,7 +170,7 @@ pub fn hint(text: &str) -> Option<String> {
     Some(format!("write `{}`", written(span)))
 }
 
-/// A hint for two times as a range: `2s to 4s`, `2s - 4s`.
+/// Returns the valid form `2s..4s` of a range that is written as `2s to 4s` or `2s - 4s`.
 fn range(text: &str) -> Option<String> {
     let (from, to) = [" to ", "-", "\u{2013}"].iter().find_map(|mark| text.split_once(mark))?;
     let [from, to] = [from.trim(), to.trim()];
@@ -177,7 +178,8 @@ fn range(text: &str) -> Option<String> {
     (least < largest).then(|| format!("{from}..{to}"))
 }
 
-/// A hint for a time in frames, whose length is not known: `48 frames`, `00:00:02:12`.
+/// Returns a hint for a time in frames (`48 frames`, `00:00:02:12`). The frame rate is not known, so the hint assumes 25 frames per
+/// second.
 fn of_frames(text: &str) -> Option<String> {
     let is_number = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
     if let [hours, minutes, seconds, frames] = text.split([':', ';']).collect::<Vec<_>>().as_slice()
@@ -198,7 +200,7 @@ fn at_25_frames(text: &str, span: Span) -> String {
     format!("write a time: at 25 frames per second, {text} `{}`", written(span))
 }
 
-/// A hint for a fraction of a unit: `1/2 beat`.
+/// Returns a hint for a fraction of a unit, such as `1/2 beat`.
 fn of_fraction(text: &str) -> Option<String> {
     let (whole, rest) = text.split_once('/')?;
     let digits = rest.find(|c: char| !c.is_ascii_digit())?;
@@ -210,14 +212,14 @@ fn of_fraction(text: &str) -> Option<String> {
         .then(|| format!("write `{time} / {}`", &rest[..digits]))
 }
 
-/// A hint for a key that belongs before the colon: `after rise`.
+/// Returns a hint for a key that is written in the value, such as `at: after rise` instead of `after: rise`.
 fn relation(text: &str) -> Option<String> {
     let (key, name) = text.split_once(' ')?;
     matches!(key, "after" | "with" | "before")
         .then(|| format!("write `{key}: {}` instead of `at`", name.trim()))
 }
 
-/// Whether a text would be a time if its numbers were smaller.
+/// Whether a text is not a valid time only because its numbers are too large.
 fn is_too_long(text: &str) -> bool {
     let mut short = String::new();
     for c in text.chars() {
@@ -230,7 +232,7 @@ fn is_too_long(text: &str) -> bool {
     parse_duration(text).is_none() && parse_duration(&short).is_some()
 }
 
-/// A hint for a musical length without a space: `2beats`.
+/// Returns the valid form of a musical length that lacks the space or uses another word: `2beats`, `4 quarters`.
 fn musical(text: &str) -> Option<String> {
     let (number, word) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
     number.parse::<f64>().ok()?;
@@ -245,7 +247,7 @@ fn musical(text: &str) -> Option<String> {
     Some(format!("{number} {meant}"))
 }
 
-/// Parses `00:01:30` and `00:01:30.5`. All three of hours, minutes and seconds are required, because two numbers would be ambiguous.
+/// Parses a time such as `00:01:30` or `00:01:30.5`. Hours, minutes and seconds are all required, because two numbers would be ambiguous.
 fn of_clock(text: &str) -> Option<Span> {
     let parts: Vec<&str> = text.split(':').collect();
     let [hours, minutes, seconds] = parts.as_slice() else { return None };
@@ -259,7 +261,8 @@ fn of_clock(text: &str) -> Option<Span> {
     parse_duration(&format!("{hours}h{minutes}m{seconds}s"))
 }
 
-/// A hint for a time almost like `00:01:30`: two numbers such as `1:30`, or three numbers that do not all have two digits.
+/// Returns a hint for a time that resembles `00:01:30`. It has a decimal comma, or only two numbers (`1:30`), or three numbers of which
+/// some do not have two digits.
 fn almost_of_clock(text: &str) -> Option<String> {
     let with_point = text.replace(',', ".");
     if of_clock(&with_point).is_some() {
@@ -278,7 +281,7 @@ fn almost_of_clock(text: &str) -> Option<String> {
     }
 }
 
-/// Parses a time whose unit is a word or in another case: `1 second`, `250 milliseconds`, `2 S`, `1e3ms`.
+/// Parses a time in a form that is invalid but clear: `1 second`, `250 milliseconds`, `2 S`, `1e3ms`.
 fn in_words(text: &str) -> Option<Span> {
     if let Some((number, unit)) =
         text.char_indices().rev().find(|(_, c)| c.is_ascii_digit()).map(|(at, _)| text.split_at(at + 1))
@@ -309,7 +312,7 @@ pub fn parse_signed(text: &str) -> Option<Span> {
     }
 }
 
-/// Writes a time exactly, as in a scenario: `1.5s`, `250ms`, `-2us`.
+/// Writes a time exactly, in the notation of scenarios: `1.5s`, `250ms`, `-2us`.
 #[must_use]
 pub fn written(span: Span) -> String {
     let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
@@ -322,7 +325,7 @@ pub fn written(span: Span) -> String {
     format!("{sign}{}{unit}", text.trim_end_matches('0').trim_end_matches('.'))
 }
 
-/// Writes a number of seconds as in a scenario, rounded up to milliseconds.
+/// Writes a number of seconds in the notation of scenarios, rounded up to whole milliseconds.
 pub fn seconds(seconds: f64) -> String {
     written(Span::from_millis_f64((seconds * 1_000.0 - 1e-9).ceil()))
 }

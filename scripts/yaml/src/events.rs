@@ -1,7 +1,7 @@
-//! The events of a YAML text with their positions, from a parser that builds no tree.
+//! Parses a YAML text into events (scalars, and starts and ends of lists and maps) with their positions, without building a tree.
 //!
-//! A text that begins with a brace might be a key, so the parser would buffer all of the text until the brace is closed. After `---`, a
-//! brace cannot begin a key.
+//! A brace at the beginning of a text might begin a key, so the parser would buffer everything until the brace is closed. `---` is
+//! therefore written before such a text: after `---`, a brace cannot begin a key.
 
 use std::borrow::Cow;
 
@@ -12,13 +12,13 @@ const DOCUMENT: &str = "--- ";
 /// A text that is parsed event by event.
 pub struct Events<'t> {
     text: Cow<'t, str>,
-    /// Number of lines before the parsed text; `ahead` is the number of characters before it in its first line.
+    /// Number of lines that were skipped before the parsed text. `ahead` is the number of characters that were skipped in its first line.
     lines: usize,
     ahead: usize,
     added: usize,
 }
 
-/// The start and end of an event: lines from 1, columns from 0.
+/// The start and the end of an event in the text, each as a line (counted from 1) and a column (counted from 0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     pub start: (usize, usize),
@@ -37,7 +37,7 @@ impl<'t> Events<'t> {
         Self { text: Cow::Owned([DOCUMENT, rest].concat()), lines, ahead, added: DOCUMENT.len() }
     }
 
-    /// Passes each event to `wanted` until the text is no longer YAML or `wanted` returns false.
+    /// Passes each event to `wanted`. Stops where the text is not valid YAML, or when `wanted` returns false.
     pub fn each(&self, mut wanted: impl FnMut(Event<'_>, Extent) -> bool) {
         let mut parser: Parser<'_, StrInput<'_>> = Parser::new_from_str(&self.text);
         while let Some(Ok((event, span))) = parser.next_event() {

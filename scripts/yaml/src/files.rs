@@ -1,4 +1,4 @@
-//! Access to the other files of a scenario: includes and data.
+//! Access to the other files that a scenario uses: includes and data files.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use crate::finding::{Code, Finding};
 use crate::project::Project;
 use crate::source::Source;
 
-/// Finds files by the names that a scenario uses.
+/// Reads files by the names that a scenario uses for them.
 pub trait Files {
     /// Reads a file.
     ///
@@ -23,7 +23,7 @@ pub trait Files {
     }
 }
 
-/// Files of a folder. Names are relative to the folder, and must lead to files of one project.
+/// The files in a folder. Names are relative to the folder, and must lead to files of one project.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
@@ -31,14 +31,14 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// A folder in the project that [`Project::of_folder`] finds for it.
+    /// Creates the files of a folder, in the project that [`Project::of_folder`] finds for the folder.
     #[must_use]
     pub fn new(path: PathBuf) -> Self {
         let project = Project::of_folder(&path);
         Self { path, project }
     }
 
-    /// A folder whose names must lead to files of the given project.
+    /// Creates the files of a folder, whose names must lead to files of the given project.
     #[must_use]
     pub const fn within(path: PathBuf, project: Project) -> Self {
         Self { path, project }
@@ -55,7 +55,7 @@ impl Files for Folder {
     }
 }
 
-/// A source without files, so every read fails.
+/// An implementation of [`Files`] that has no files, so every read fails.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFiles;
 

@@ -1,4 +1,4 @@
-//! A finding: a mistake of a user, with a code, a place, the fault, the expected value, and how to fix it.
+//! Findings: the mistakes of a user. Each has a code, a place, a description of the fault, the expected value, and a hint how to fix it.
 
 mod shared_fault;
 
@@ -22,7 +22,7 @@ pub enum Severity {
 
 macro_rules! codes {
     ($($variant:ident = $text:literal, $severity:ident, $title:literal;)*) => {
-        /// The kinds of findings. Codes are stable: a number is never reused.
+        /// The kind of a finding, with a code such as `DB0007`. Codes are stable: a number is never reused.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[non_exhaustive]
         pub enum Code {
@@ -30,22 +30,22 @@ macro_rules! codes {
         }
 
         impl Code {
-            /// All codes, in order.
+            /// All codes, in the order of their numbers.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
-            /// The code as printed, such as `DB0007`.
+            /// Returns the code as it is printed, such as `DB0007`.
             #[must_use]
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$variant => $text,)* }
             }
 
-            /// A short description of the kind of finding.
+            /// Returns a short description of this kind of finding.
             #[must_use]
             pub const fn title(self) -> &'static str {
                 match self { $(Self::$variant => $title,)* }
             }
 
-            /// Whether a finding of this kind prevents running.
+            /// Returns whether findings of this kind are errors, which prevent the scenario from running, or warnings.
             #[must_use]
             pub const fn severity(self) -> Severity {
                 match self { $(Self::$variant => Severity::$severity,)* }
@@ -139,7 +139,7 @@ codes! {
 }
 
 impl Code {
-    /// The explanation of this code in `findings.md`: the meaning, the reason why it matters, and the fix.
+    /// Returns the explanation of this code in `findings.md`: what the finding means, why it matters, and how to fix it.
     #[must_use]
     pub fn explanation(self) -> &'static str {
         let heading = format!("## {}", self.as_str());
@@ -151,7 +151,7 @@ impl Code {
     }
 }
 
-/// The documentation page is the text that the program prints.
+/// The documentation page from which the program prints the explanations of codes.
 const EXPLANATIONS: &str = include_str!("findings.md");
 
 impl Serialize for Code {
@@ -165,9 +165,9 @@ impl Serialize for Code {
 pub struct Finding {
     /// The code for the kind of mistake.
     pub code: Code,
-    /// Whether the finding prevents running.
+    /// Whether the finding is an error, which prevents the scenario from running, or a warning.
     pub severity: Severity,
-    /// The name of the file, as the user wrote it.
+    /// The name of the file that contains the mistake, as the user wrote the name.
     pub file: String,
     /// Line of the finding, counted from 1; 0 if the finding concerns the file as a whole.
     pub line: usize,
@@ -175,7 +175,7 @@ pub struct Finding {
     pub column: usize,
     /// The number of characters that the finding concerns.
     pub width: usize,
-    /// The fault, naming the robot, device and step if it concerns them.
+    /// A description of the fault. It names the robot, device and step, if the fault concerns them.
     pub message: String,
     /// The expected value or form.
     pub expected: String,
@@ -183,7 +183,7 @@ pub struct Finding {
     pub hint: Option<String>,
     /// The text of the line with the fault.
     pub source_line: String,
-    /// Places that explain the finding, in the order of the explanation; then other places with the same mistake.
+    /// Places that explain the finding, in the order of the explanation, followed by other places with the same mistake.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub related: Vec<Related>,
 }
@@ -201,24 +201,24 @@ pub struct Related {
     pub message: String,
     /// The text of the line that contains the place.
     pub source_line: String,
-    /// Whether this place repeats the mistake. The message of the finding already names its line.
+    /// Whether this place has the same mistake as the finding. The message of the finding then already names the line of this place.
     #[serde(skip)]
     pub is_repeat: bool,
 }
 
 impl Finding {
-    /// The places that explain the finding, without other places of the same mistake.
+    /// Returns the places that explain the finding, without other places that have the same mistake.
     pub fn chain(&self) -> impl Iterator<Item = &Related> {
         self.related.iter().filter(|place| !place.is_repeat)
     }
 
-    /// Whether the fault is access to a file, not its content: the file cannot be read or written, or already exists.
+    /// Whether the fault concerns access to a file instead of its content: the file cannot be read or written, or already exists.
     #[must_use]
     pub fn is_about_access(&self) -> bool {
         matches!(self.code, Code::Unreadable | Code::Include | Code::OutsideProject | Code::FileExists)
     }
 
-    /// A finding that concerns a file as a whole.
+    /// Creates a finding that concerns a file as a whole.
     pub fn about_file(code: Code, file: &str, message: String, expected: &str, hint: Option<String>) -> Self {
         Self {
             code,
@@ -236,54 +236,54 @@ impl Finding {
     }
 }
 
-/// A finding whose place is only known as a path into the tree.
+/// A finding whose place is only known as a path in the tree, not yet as a line and column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pending {
     /// The code of the finding.
     pub code: Code,
     /// The place that the user must edit.
     pub place: Place,
-    /// The fault.
+    /// A description of the fault.
     pub message: String,
     /// The expected value or form.
     pub expected: String,
     /// How to fix the fault; `None` if there is no hint.
     pub hint: Option<String>,
-    /// The hint if the map or list is in block style, without brackets. `None` if `hint` applies there as well.
+    /// The hint if the value is written in block style (without brackets). `None` if `hint` applies to block style as well.
     pub hint_in_block: Option<String>,
     /// Related places, each with an explanation.
     pub related: Vec<(Place, String)>,
-    /// The robots that the finding concerns. `None` if no further robots can join the finding.
+    /// The robots that the finding concerns, which further faults can extend. `None` if the finding cannot be extended.
     pub affected: Option<Box<Affected>>,
 }
 
 /// A place in a file: a node, or the key that leads to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Place {
-    /// The file: 0 for the scenario, then includes in reading order.
+    /// The number of the file: 0 for the scenario, then one for each include, in reading order.
     pub file: u16,
     /// The keys and indices that lead from the root of the file to the place.
     pub path: Vec<Part>,
-    /// Whether the place is the key of the node instead of the node itself.
+    /// Whether the place is the key that leads to the node, instead of the node itself.
     pub key: bool,
-    /// The part of the text that is meant; `None` for the whole text.
+    /// The part of the text at this place; `None` for the whole text.
     pub within: Option<Within>,
-    /// The use that led to this place, if the place belongs to an item that is used elsewhere, such as a move.
+    /// The use through which this place was read, if it belongs to an item that is used elsewhere, such as a move.
     pub used: Option<Arc<Use>>,
 }
 
-/// A place that uses something defined elsewhere: a move that another move plays, a sequence, a file.
+/// A use of an item that is defined elsewhere: a move, a sequence or a file.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Use {
-    /// The used item, such as `the move `wave``.
+    /// The item that is used, as named in messages: `the move `wave``.
     pub what: String,
-    /// The user of the item, if it has a name.
+    /// The item that uses it, such as another move, if that has a name.
     pub by: Option<String>,
-    /// The place of the use, which may itself be reached through a use.
+    /// The place of the use. That place may itself have been read through another use.
     pub place: Place,
 }
 
-/// A part of a text. The whole text is needed to find the part in the file.
+/// A part of a text. The whole text is kept because it is needed to find the part in the file.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Within {
     /// The whole text.
@@ -295,34 +295,34 @@ pub struct Within {
 }
 
 impl Place {
-    /// The place of an entry or item of this node.
+    /// Returns the place of an entry or item of the node at this place.
     pub fn below(&self, part: Part) -> Self {
         let mut path = self.path.clone();
         path.push(part);
         Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
     }
 
-    /// The place of the value of `key` in this map.
+    /// Returns the place of the value of `key` in the map at this place.
     pub fn of_key(&self, key: &str) -> Self {
         self.below(Part::Key(key.to_owned(), 0))
     }
 }
 
-/// One step of a path into the tree. Occurrences of equal keys in one map are counted from 0.
+/// One step on the path from the root of a tree to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
-    /// A key of a map, and its occurrence.
+    /// A key of a map, and its number among equal keys in the map, counted from 0.
     Key(String, usize),
-    /// An item of a list, counted from 0.
+    /// The index of an item in a list, counted from 0.
     Index(usize),
 }
 
-/// A hint that asks for the known name most similar to a wrong one. `None` if no name is similar enough.
+/// Returns a hint that suggests the known name that is most similar to `wrong`. `None` if no name is similar enough.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     nearest(wrong, known, &mut 10_000)
 }
 
-/// Like [`did_you_mean`], but makes at most `left` comparisons and deducts them from `left`.
+/// Like [`did_you_mean`], but makes at most `left` comparisons, and subtracts their number from `left`.
 pub fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,
@@ -364,26 +364,26 @@ pub fn nearest<'a>(
     Some(did_you_mean_this(in_other_case.or(like).or(written_out)?))
 }
 
-/// Whether a word, or its singular, is the beginning of a name, such as `forms` for `formations`.
+/// Whether a name begins with the word or its singular, as `formations` begins with `form`, the singular of `forms`.
 fn is_short_for(word: &str, name: &str) -> bool {
     let begin = word.strip_suffix('s').unwrap_or(word);
     begin.chars().count() >= 4 && name.starts_with(begin)
 }
 
-/// A hint with the only known name that ends with `.` and the given name, such as `lib.lift` for `lift`. `None` if there are none or
-/// several.
+/// Returns a hint with the known name that ends with `.` and the given name, such as `lib.lift` for `lift`. `None` unless there is
+/// exactly one.
 pub fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
     let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
     let only = ending.next().filter(|_| ending.next().is_none())?;
     Some(did_you_mean_this(only))
 }
 
-/// A hint that suggests a known name.
+/// Returns a hint that suggests `name`.
 pub fn did_you_mean_this(name: &str) -> String {
     format!("did you mean `{name}`?")
 }
 
-/// A description of the expected value for an unknown name: one of the names that exist.
+/// Describes what is expected in place of an unknown name: one of the names that exist.
 pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
         "none" => "a name, but none is defined".to_owned(),
@@ -400,10 +400,10 @@ pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clon
     }
 }
 
-/// Maximum number of robots that a message lists.
+/// Maximum number of robots that a message lists in full.
 const LISTED_MAX: usize = 5;
 
-/// Robots as a message names them: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
+/// Lists robots for a message: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) `` if there are many.
 pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> String {
     let (count, listed) = (ids.len(), ids.map(|id| format!("`{}`", shortened(id))));
     match count {
@@ -415,7 +415,7 @@ pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> 
     }
 }
 
-/// A list of names for a message: at most the first twelve.
+/// Lists names for a message: up to twelve, or the first ten and the number of further ones.
 pub fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     let mut all = all.into_iter();
     let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();

@@ -1,4 +1,4 @@
-//! Formats of other tools, and how to recognize them by the name and the first bytes of a file. `import` reads them.
+//! The file formats of other programs that `downbeat import` reads, and how to recognize them by the name and the first bytes of a file.
 
 use std::path::Path;
 
@@ -13,19 +13,19 @@ pub struct FormatFacts {
     pub about: &'static str,
     /// The file name extensions of the format, without the dot.
     pub ends: &'static [&'static str],
-    /// Whether the extension alone identifies the format.
+    /// Whether the file name extension alone identifies the format.
     pub is_recognized: bool,
-    /// The kind of robot that plays such files, unless the user names another kind.
+    /// The kind of robot that is assumed to play such files, unless the user names another kind.
     pub kind: &'static str,
-    /// Whether each file belongs to one robot.
+    /// Whether each file contains the motion of a single robot.
     pub is_single: bool,
-    /// Whether the user must map columns or channels of the files to devices.
+    /// Whether the user must assign columns or channels of the files to devices.
     pub is_mapped: bool,
     /// Whether the files contain curves in addition to points.
     pub has_curves: bool,
 }
 
-/// The default properties of a format.
+/// The properties that a format has unless its declaration states others.
 const POINTS: FormatFacts = FormatFacts {
     format: ImportFormat::Csv,
     word: "",
@@ -38,10 +38,10 @@ const POINTS: FormatFacts = FormatFacts {
     has_curves: false,
 };
 
-/// Declares the formats, and [`FORMATS`] with the properties of each in the same order.
+/// Declares the enum [`ImportFormat`], and [`FORMATS`] with the properties of each format in the same order.
 macro_rules! formats {
     ($($(#[$doc:meta])* $format:ident { $($fact:ident: $value:expr,)* })*) => {
-        /// The format of an imported file, named after the program that writes it.
+        /// The format of an imported file.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum ImportFormat {
             $($(#[$doc])* $format,)*
@@ -63,7 +63,7 @@ formats! {
         has_curves: true,
     }
 
-    /// `id,x[m],y[m],z[m],t[s]`.
+    /// Waypoints: one CSV with the columns `id,x[m],y[m],z[m],t[s]`.
     Waypoints {
         word: "waypoints",
         about: "CSV with id,x[m],y[m],z[m],t[s]",
@@ -82,7 +82,7 @@ formats! {
         has_curves: true,
     }
 
-    /// The motions of PAL Robotics' `play_motion2`, YAML.
+    /// Motions of PAL Robotics' `play_motion2`, as YAML.
     PlayMotion2 {
         word: "play-motion2",
         about: "motions of PAL Robotics' robots, YAML",
@@ -92,7 +92,7 @@ formats! {
         is_single: true,
     }
 
-    /// Keyframe animations of the RoboCup team Bit-Bots, JSON.
+    /// Keyframe animations of the RoboCup team Bit-Bots, as JSON.
     Bitbots {
         word: "bitbots",
         about: "keyframe animations of the Bit-Bots, JSON",
@@ -102,7 +102,7 @@ formats! {
         is_single: true,
     }
 
-    /// Compiled drone shows of Skybrush, `.skyc`.
+    /// Compiled drone shows of Skybrush (`.skyc`).
     Skybrush {
         word: "skybrush",
         about: "compiled drone shows, .skyc",
@@ -111,7 +111,7 @@ formats! {
         has_curves: true,
     }
 
-    /// Motions of Webots, `.motion`.
+    /// Motions of Webots (`.motion`).
     Webots {
         word: "webots",
         about: "motions of Webots, .motion",
@@ -119,7 +119,7 @@ formats! {
         is_single: true,
     }
 
-    /// Motion capture, `.bvh`.
+    /// Motion capture (`.bvh`).
     Bvh {
         word: "bvh",
         about: "motion capture, .bvh",
@@ -137,7 +137,7 @@ formats! {
         is_single: true,
     }
 
-    /// Light sequences of xLights and Falcon Player, `.fseq`.
+    /// Light sequences of xLights and Falcon Player (`.fseq`).
     Fseq {
         word: "fseq",
         about: "light sequences of xLights and Falcon Player, .fseq, with --map",
@@ -146,7 +146,7 @@ formats! {
         is_mapped: true,
     }
 
-    /// Recordings of ROS with joint states, `.mcap`.
+    /// Recordings of ROS with joint states (`.mcap`).
     Mcap {
         word: "mcap",
         about: "recordings of ROS with JointState, .mcap",
@@ -163,7 +163,7 @@ formats! {
 }
 
 impl ImportFormat {
-    /// All formats, in the order in which they are listed.
+    /// The properties of all formats, in the order in which they are listed to users.
     pub const ALL: &'static [FormatFacts] = FORMATS;
 
     /// The properties of this format.
@@ -179,14 +179,15 @@ impl ImportFormat {
     }
 }
 
-/// The format of another program's file, if the extension of `name` alone identifies it.
+/// Returns the format of a file of another program; `None` unless the extension of `name` alone identifies it.
 pub fn format_of(name: &str) -> Option<ImportFormat> {
     let end = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
     let known = |facts: &&FormatFacts| facts.is_recognized && facts.ends.contains(&end.as_str());
     ImportFormat::ALL.iter().find(known).map(|facts| facts.format)
 }
 
-/// The command that converts another program's file to a scenario; `None` if its extension identifies no format.
+/// Returns a hint with the command that converts a file of another program to a scenario. `None` if the extension of `name` identifies no
+/// format.
 pub fn importing(name: &str) -> Option<String> {
     let format = format_of(name)?;
     Some(format!(
@@ -195,7 +196,7 @@ pub fn importing(name: &str) -> Option<String> {
     ))
 }
 
-/// The kind of a binary file, for messages, by the first bytes; `None` if they identify no kind.
+/// Returns the kind of a binary file for a message, such as `a MIDI file`; `None` if its first bytes identify no kind.
 pub fn binary(bytes: &[u8]) -> Option<&'static str> {
     const KNOWN: [(&[u8], &str); 9] = [
         (b"MThd", "a MIDI file"),

@@ -1,4 +1,4 @@
-//! Identifies a document that was mistaken for another one, such as the fleet for the scenario.
+//! Recognizes documents that were passed in place of another kind, such as a fleet in place of a scenario.
 
 use crate::finding::{Code, Finding, did_you_mean};
 use crate::formats::importing;
@@ -14,7 +14,7 @@ pub enum Document {
     Fleet,
     /// An init file: the initialization block of a robot.
     Robot,
-    /// A world file: delays, losses and clocks for dry runs.
+    /// A world file: the simulated delays, losses and clocks for dry runs.
     World,
 }
 
@@ -37,7 +37,7 @@ impl Document {
         }
     }
 
-    /// The kind of document, judged by the keys of its map; `None` if they do not tell.
+    /// Returns the kind of document that has these keys; `None` if they do not identify a kind.
     fn of(entries: &[(String, Node)]) -> Option<Self> {
         let has = |name: &str| entries.iter().any(|(key, _)| key == name);
         if has("cues") || has("acts") || has("scenario") {
@@ -53,7 +53,7 @@ impl Document {
         }
     }
 
-    /// The hint for a file of kind `self` where `wanted` was expected.
+    /// Returns the hint for a document of this kind where `wanted` was expected.
     fn instead_of(self, wanted: Self) -> &'static str {
         match (wanted, self) {
             (Self::Scenario, Self::Fleet) => "pass the scenario, and the fleet with `--fleet FILE`",
@@ -68,8 +68,8 @@ impl Document {
     }
 }
 
-/// The single finding for a document of the wrong kind, instead of one finding for each of its keys. `None` if the document is of the
-/// kind `wanted` or nearly so.
+/// Returns a single finding for a document of the wrong kind, instead of one finding for each of its keys. `None` if the document may be
+/// of the kind `wanted`.
 pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Finding> {
     match document {
         Node::Map(entries) => {
@@ -85,7 +85,7 @@ pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Fi
     }
 }
 
-/// Like [`mistaken`], where a scenario with the given keys was expected. A map without any of these keys, even misspelt, is not a
+/// Like [`mistaken`], for a document that should be a scenario. A map that has none of the given keys, not even misspelt, is not a
 /// scenario.
 pub fn mistaken_for_scenario(source: &Source, document: &Node, keys: &[&'static str]) -> Option<Finding> {
     let wanted = Document::Scenario;
@@ -102,7 +102,8 @@ fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) 
     Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
-/// If a file that is to be included is a document of another kind: the reason why it cannot be included, and a hint.
+/// Returns the reason why a document cannot be included, and a hint, if it is a scenario, a fleet, a robot or a world. `None` if it can
+/// be included.
 pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
     let Node::Map(entries) = document else { return None };
     let found = Document::of(entries)?;
@@ -117,7 +118,7 @@ pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
     Some((format!("this file is {}", found.name()), hint))
 }
 
-/// A hint that shows how to create a document of this kind.
+/// Returns a hint that shows how to create a document of the kind `wanted`.
 pub fn begin(wanted: Document) -> String {
     let (what, name) = match wanted {
         Document::Scenario => ("a scenario", "show.yaml"),

@@ -1,4 +1,4 @@
-//! The YAML layer of Downbeat's files: parses text into a tree, and shows findings with the lines that they concern.
+//! Reads the YAML files of Downbeat: parses text into a tree, and shows findings with the lines that they concern.
 //!
 //! | module | |
 //! |---|---|

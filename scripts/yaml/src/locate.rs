@@ -1,5 +1,5 @@
-//! Finds the positions of tree paths in the text, with one pass of a parser that keeps positions. This pass runs only when there is
-//! something to report. Content of an alias gets the position at which the alias is used.
+//! Finds the line and column of each place that findings refer to by its path in the tree. The text is parsed a second time for this,
+//! only if there is something to report. Content of an alias gets the position at which the alias is used.
 
 mod defined;
 mod repeated;
@@ -19,12 +19,12 @@ use crate::source::Source;
 
 use spelled::offsets;
 
-/// Maximum length of a line that every finding carries in full, in bytes.
+/// Maximum length, in bytes, of a source line that is copied into every finding in full.
 const LINE_BYTES_MAX: usize = 500;
-/// Maximum number of bytes of long lines (above [`LINE_BYTES_MAX`]) that all findings of a file carry together.
+/// Maximum total number of bytes of source lines in the findings of one file. Beyond it, lines above [`LINE_BYTES_MAX`] are cut.
 const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
-/// Adds line and column to every finding, and sorts the findings by place, grouped by file.
+/// Adds the line and column to every finding. Sorts the findings by file, and within a file by place.
 pub fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Vec<Finding> {
     defined::relate(sources, &mut pending);
     let mut by_file: Vec<Vec<(Pending, String)>> = sources.iter().map(|_| Vec::new()).collect();
@@ -37,7 +37,7 @@ pub fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Ve
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
 }
 
-/// The first and the last line of the node at each place, in the order of `places`.
+/// Returns the first and the last line of the node at each place, in the order of `places`.
 pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usize, usize)> {
     let mut lines = vec![(1, 1); places.len()];
     for (file, source) in sources.iter().enumerate() {
@@ -53,7 +53,8 @@ pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usi
     lines
 }
 
-/// Locates the findings of one file. Each finding is paired with the text of the uses that led to it, which is appended to its message.
+/// Adds the line and column to the findings of one file. Each finding is paired with a text about the uses through which its place was
+/// read, which is appended to its message.
 fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
@@ -105,7 +106,8 @@ fn related_place(
     }
 }
 
-/// The line as a finding carries it. `room` is the remaining number of bytes for all lines; when it is exhausted, long lines are cut.
+/// Returns a source line for a finding. `room` is the number of bytes that remain for the lines of all findings; when it is exhausted,
+/// long lines are cut.
 fn carried(line: &str, room: &mut usize) -> String {
     if line.len() <= LINE_BYTES_MAX || line.len() <= *room {
         *room = room.saturating_sub(line.len());
@@ -140,7 +142,7 @@ fn finding(
     }
 }
 
-/// Byte offsets at which lines begin.
+/// The byte offsets at which the lines of a text begin.
 struct LineStarts(Vec<usize>);
 
 impl LineStarts {
@@ -148,13 +150,14 @@ impl LineStarts {
         Self(line_starts(text).collect())
     }
 
-    /// Moves a position after the last line to the last line. The parser reports such a position for a node at the end of the text, such
-    /// as the value after a last `---`.
+    /// Moves a position beyond the last line to the last line. The parser reports such positions for nodes at the end of the text, such
+    /// as the value after a final `---`.
     fn within(&self, spot: Spot) -> Spot {
         if spot.line > self.0.len() { Spot { line: self.0.len(), column: 1, width: 1 } } else { spot }
     }
 
-    /// The position of a part of a text that starts at `spot`. If the source has something else there, returns `spot`.
+    /// Returns the position of `within`, a part of a YAML text that starts at `spot`. If something else is written there, such as an
+    /// alias, returns `spot`.
     fn part(&self, text: &str, spot: Spot, within: &Within) -> Spot {
         let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
         let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
@@ -191,13 +194,13 @@ impl Spot {
     }
 }
 
-/// A tree of the paths whose positions are wanted; node 0 is the document.
+/// The paths whose positions are searched, as a tree. Node 0 is the root of the document.
 struct Wanted {
     children: Vec<HashMap<Part, usize>>,
     parents: Vec<usize>,
     values: Vec<Option<Spot>>,
     keys: Vec<Option<Spot>>,
-    /// For each node, the last line of its list or map.
+    /// For each node that is a list or map, its last line.
     last_lines: Vec<usize>,
 }
 
@@ -215,11 +218,11 @@ impl Default for Wanted {
 
 /// A list or map that is being read.
 struct Frame {
-    /// The wanted node of this list or map, if any.
+    /// The node of [`Wanted`] that represents this list or map, if any.
     wanted: Option<usize>,
     map: bool,
     index: usize,
-    /// `Some` after a key, while its value is expected: the wanted child that the key leads to, if any.
+    /// `Some` between a key and its value. It contains the node of [`Wanted`] that represents the value, if any.
     pending: Option<Option<usize>>,
     seen: HashMap<String, usize>,
 }
@@ -250,8 +253,8 @@ impl Wanted {
         node
     }
 
-    /// The position of a node or of its key. If it has no position, as within an alias or for a missing key: the position of the nearest
-    /// ancestor that has one.
+    /// Returns the position of a node or of its key. A node within an alias or under a missing key has none; the position of its nearest
+    /// ancestor with a position is returned then.
     fn spot(&self, node: usize, key: bool) -> Spot {
         let own =
             if key { self.keys[node].or(self.values[node]) } else { self.values[node].or(self.keys[node]) };
@@ -294,7 +297,8 @@ impl Wanted {
         });
     }
 
-    /// Handles the start of a node: a key or a value of the innermost map, a list item, or the document. Returns its wanted node, if any.
+    /// Handles the start of a key or value of the innermost map, a list item, or the document. Returns the node of [`Wanted`] that
+    /// represents it, if any; `None` for a key.
     fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, extent: Extent) -> Option<usize> {
         let Some(frame) = stack.last_mut() else {
             self.values[0] = Some(Spot::of(extent));

@@ -1,12 +1,12 @@
-//! Finds brackets that nest very deeply. libyaml takes a time quadratic in their depth to read them before `yaml_serde` rejects them. A
-//! shorter text, cut at the limit, leads to the same finding.
+//! Finds brackets that are nested very deeply. Before `yaml_serde` rejects them, libyaml reads them all, which takes quadratic time in
+//! their depth. The text is therefore cut at the limit, which leads to the same finding.
 
-/// Maximum nesting depth: far more levels than `yaml_serde` reads (128), but few enough for libyaml.
+/// Maximum nesting depth: far more than `yaml_serde` accepts (128), but little enough for libyaml to read quickly.
 const DEPTH: usize = 1_000;
-/// The characters after which a value begins.
+/// The characters after which a value may begin, blanks aside.
 const BEFORE_A_VALUE: &[u8] = b"[{,:?-\n";
 
-/// The text up to the point where its brackets nest too deeply; `None` if they do not. The depth may be counted wrongly after a tag or a
+/// Returns the text up to the bracket that is nested too deeply; `None` if no bracket is. The depth may be miscounted after a tag or a
 /// text of several lines.
 pub fn too_deep(text: &str) -> Option<&str> {
     let bytes = text.as_bytes();
@@ -37,7 +37,8 @@ pub fn too_deep(text: &str) -> Option<&str> {
     None
 }
 
-/// The byte offset of the quotation mark that ends the quoted text starting at `begin`, or the end of the file.
+/// Returns the byte offset of the quotation mark that ends the quoted text starting at `begin`. If the text does not end, returns the
+/// length of the file.
 fn end_of_quoted(bytes: &[u8], begin: usize) -> usize {
     let mark = bytes[begin];
     let mut at = begin + 1;

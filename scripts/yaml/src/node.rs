@@ -1,5 +1,6 @@
-//! A YAML document as a tree that keeps mistakes of the user: duplicate keys, wrong kinds, foreign tags. serde_yaml parses it, and its
-//! nesting limit bounds the tree. `rows` parses long runs of keyframes instead, and `aliases` limits aliases.
+//! A YAML document as a tree. The tree preserves mistakes of the user, such as duplicate keys, wrong types and foreign tags, so that they
+//! can be reported. The library serde_yaml parses the document, and its nesting limit bounds the depth of the tree. The module `rows`
+//! parses long runs of keyframes instead, and `aliases` limits aliases.
 
 mod rows;
 
@@ -30,14 +31,14 @@ pub enum Node {
     Text(String),
     /// A list.
     List(Items),
-    /// A map, in the order of the file; a key may occur more than once.
+    /// A map: its keys and values in the order of the file. A key may occur more than once.
     Map(Vec<(String, Node)>),
-    /// A value with a tag; only the tag is kept.
+    /// The tag of a value with a tag. The value itself is dropped.
     Tagged(String),
 }
 
 impl Node {
-    /// A description of the kind of value, for messages.
+    /// Describes the type of the value for messages, such as `a list` or `the number 3`.
     pub fn kind(&self) -> String {
         match self {
             Self::Null => "nothing".into(),
@@ -92,7 +93,7 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
     root.map_or_else(|| parse_whole(source), Ok)
 }
 
-/// The finding for brackets that nest so deeply that the YAML library would take a long time to reject them.
+/// Returns a finding if brackets are nested so deeply that the YAML library would take a long time to reject them.
 pub fn too_deep(source: &Source) -> Option<Finding> {
     let text = nesting::too_deep(source.text.trim_start_matches(BYTE_ORDER_MARK))?;
     let error = serde_yaml::from_str::<Node>(text).err()?;
@@ -106,7 +107,8 @@ fn empty(source: &Source) -> Finding {
     Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
 }
 
-/// Like [`parse`], but long runs of keyframes are parsed by the YAML library, too.
+/// Like [`parse`], but the YAML library parses the whole text, including long runs of keyframes. Brackets that are nested too deeply are
+/// not detected first.
 pub fn parse_whole(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
     if let Some(finding) = aliases::check(source, text) {
@@ -190,7 +192,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
     }
 }
 
-/// A key of a map, as text. A key that is not a scalar becomes a text that no map knows as a key.
+/// A key of a map, converted to text. A key that is not a scalar becomes a text that is not a valid key of any map.
 struct Key(String);
 
 impl<'de> Deserialize<'de> for Key {

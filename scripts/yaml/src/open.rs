@@ -1,4 +1,5 @@
-//! Opens files for reading: rejects everything that is not a file, and never blocks on another process. All file reads start here.
+//! Opens files for reading. Rejects everything that is not a file, and never waits for another process while opening. All file reads
+//! start here.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, ErrorKind};
@@ -7,11 +8,11 @@ use std::path::Path;
 
 use rustix::fs::OFlags;
 
-/// Opens a file that the user has named on the command line. It accepts regular files, and descriptors that the user's shell has opened
-/// for this process: `<(command)`, `/dev/stdin`.
+/// Opens a file that the user has named on the command line. Accepts regular files, and descriptors that the user's shell has opened for
+/// this process, such as `<(command)` and `/dev/stdin`.
 ///
 /// # Errors
-/// Returns an error if the system refuses access, or the path is a folder, a pipe, a socket or a device.
+/// Returns an error if the system refuses access, or if the path is a folder, a socket, or a pipe or device that is no such descriptor.
 pub fn open(path: &Path) -> io::Result<File> {
     let own = is_own_descriptor(path);
     let is_taken = |kind: FileType| kind.is_file() || own && (kind.is_fifo() || kind.is_char_device());
@@ -23,7 +24,7 @@ pub fn open(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Opens a file that another file names: regular files only, and no symbolic link at the end of the path.
+/// Opens a file that another file names. Accepts only regular files, and no symbolic link at the end of the path.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     open_if(path, OFlags::NOFOLLOW, |kind| kind.is_file())
 }
@@ -49,7 +50,7 @@ fn no_file(kind: FileType) -> io::Error {
     io::Error::other(format!("this is {what}, not a file"))
 }
 
-/// Whether a path names a descriptor that this process was started with.
+/// Whether a path names an open descriptor of this process, such as `/dev/stdin`.
 fn is_own_descriptor(path: &Path) -> bool {
     path == Path::new("/dev/stdin")
         || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| path.starts_with(folder))

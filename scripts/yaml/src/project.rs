@@ -1,4 +1,4 @@
-//! The project: the folder that contains the files that scenarios and fleets name. A file that someone else wrote can therefore not cause
+//! The project: the folder that must contain all files that scenarios and fleets name. A file from someone else can therefore not cause
 //! arbitrary files to be read, or quoted in findings.
 
 use std::ffi::OsStr;
@@ -12,7 +12,7 @@ use crate::finding::{Code, Finding};
 use crate::open::open_regular;
 use crate::source::{Source, bytes_of, refused};
 
-/// A folder with all files and folders in it, directly or further down.
+/// A folder, with everything in it and in its subfolders.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Project {
     /// The canonical path of the folder, without symbolic links.
@@ -20,15 +20,15 @@ pub struct Project {
 }
 
 impl Project {
-    /// The project of a file that the user has named: the nearest enclosing folder with `.git`; otherwise the nearest with `fleet.yaml`;
-    /// otherwise the file's own folder. Folders of other users, world-writable folders, and the home folder are never the project of
-    /// files in their subfolders.
+    /// Returns the project of a file that the user has named. It is the nearest enclosing folder with `.git`, otherwise the nearest one
+    /// with `fleet.yaml`, otherwise the file's own folder. Folders of other users, world-writable folders, and the home folder are never
+    /// the project of files in their subfolders.
     #[must_use]
     pub fn of(file: &Path) -> Self {
         Self::of_folder(folder_of(file))
     }
 
-    /// The project of a folder, found like the project of a file in that folder.
+    /// Returns the project of a folder. It is the same as for a file in that folder.
     #[must_use]
     pub fn of_folder(folder: &Path) -> Self {
         let Ok(own) = real(folder) else {
@@ -47,7 +47,7 @@ impl Project {
         Self { root: root.unwrap_or(own) }
     }
 
-    /// A project that the user names explicitly.
+    /// Creates a project from a folder that the user names explicitly.
     ///
     /// # Errors
     /// Returns an error if there is no such folder.
@@ -83,7 +83,7 @@ impl Project {
         bytes_of(path, file)
     }
 
-    /// The canonical form of `path`; a finding unless it is in this project.
+    /// Returns the canonical form of `path`, or a finding if the path is not in this project or does not exist.
     fn real(&self, path: &Path) -> Result<PathBuf, Finding> {
         match path.canonicalize() {
             Ok(real) if real.starts_with(&self.root) => Ok(real),
@@ -98,7 +98,7 @@ impl Project {
 }
 
 impl Project {
-    /// A file in `folder` whose name differs from that of `path` only in its Unicode encoding.
+    /// Returns the file in `folder` whose name differs from that of `path` only in its Unicode encoding, if such a file exists.
     fn respelled(&self, folder: &Path, path: &Path) -> Option<PathBuf> {
         let name = path.file_name()?.to_str().filter(|name| !name.is_ascii())?;
         if path.parent().and_then(|parent| real(parent).ok())? != *folder {
@@ -122,7 +122,7 @@ fn real(folder: &Path) -> io::Result<PathBuf> {
     if here { Path::new(".").canonicalize() } else { folder.canonicalize() }
 }
 
-/// The nearest existing ancestor of a path.
+/// Returns the nearest folder above a path that exists.
 fn existing(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).find_map(|above| real(above).ok())
 }
@@ -150,7 +150,7 @@ mod tests {
     struct Stage(tempfile::TempDir);
 
     impl Stage {
-        /// Creates these files, each with its name as its content; names that end with a slash are folders.
+        /// Creates a temporary folder with these files. Each file contains its own name; a name that ends with a slash is a folder.
         fn of(names: &[&str]) -> Self {
             let stage = Self(tempfile::tempdir().unwrap());
             for name in names {

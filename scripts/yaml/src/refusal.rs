@@ -1,4 +1,4 @@
-//! Errors of the operating system, explained with a remedy.
+//! Explains errors of the operating system, and suggests remedies.
 
 use std::fmt;
 use std::io::{self, ErrorKind};
@@ -17,17 +17,17 @@ pub enum Attempt<'a> {
     Connect,
 }
 
-/// The reason why an operation failed, and a remedy.
+/// The reason why the system refused an operation, and a remedy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// The reason that the system reports.
+    /// The reason that the system reports, in words for the user.
     pub reason: String,
     /// The remedy, if one is known.
     pub remedy: Option<String>,
 }
 
 impl Refusal {
-    /// Explains an error of the system.
+    /// Explains an error that the system reported for an operation.
     #[must_use]
     pub fn of(attempt: Attempt<'_>, error: &io::Error) -> Self {
         Self { reason: reason(attempt, error), remedy: remedy(attempt, error) }
@@ -64,7 +64,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
     reason.to_owned()
 }
 
-/// The system's error text without the error number.
+/// Returns the system's error text without the error number.
 fn plain(error: &io::Error) -> String {
     let text = error.to_string();
     match text.rfind(" (os error ") {
@@ -73,7 +73,7 @@ fn plain(error: &io::Error) -> String {
     }
 }
 
-/// The standard library has no error kind for failed name resolution.
+/// Whether a host name could not be resolved. The standard library has no error kind for this, so the text is compared.
 fn is_unknown_host(error: &io::Error) -> bool {
     error.to_string().starts_with("failed to lookup address information")
 }

@@ -7,18 +7,19 @@ use std::collections::HashMap;
 use crate::finding::{Code, Finding, Severity};
 use crate::shown::shown;
 
-/// Maximum number of warnings that are shown per code.
+/// Maximum number of warnings with the same code that are shown.
 const WARNINGS_MAX: usize = 20;
 /// Maximum length of the part of a line that is shown, in characters.
 const LINE_CHARS_MAX: usize = 160;
 
-/// The text of line `number`, counted from 1. YAML breaks lines at `\n`, `\r\n` and a lone `\r`.
+/// Returns the text of line `number`, counted from 1; empty if there is no such line. As in YAML, lines end with `\n`, `\r\n` or a lone
+/// `\r`.
 pub fn line_of(text: &str, number: usize) -> &str {
     let Some(start) = line_starts(text).nth(number.saturating_sub(1)) else { return "" };
     text[start..].split(['\n', '\r']).next().unwrap_or("")
 }
 
-/// The byte offset at which each line starts.
+/// Returns the byte offset at which each line starts.
 pub fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
     let bytes = text.as_bytes();
     let ends = bytes
@@ -28,7 +29,7 @@ pub fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
     std::iter::once(0).chain(ends.map(|(at, _)| at + 1))
 }
 
-/// Formats all findings in the style of compilers, with a summary count.
+/// Formats findings in the style of compiler messages, followed by the numbers of errors and warnings.
 #[must_use]
 pub fn render(findings: &[Finding], colour: bool) -> String {
     let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
@@ -57,7 +58,7 @@ pub fn render(findings: &[Finding], colour: bool) -> String {
     text
 }
 
-/// A number with its noun in singular or plural: `1 robot`, `2 robots`.
+/// Writes a number with its noun in singular or plural: `1 robot`, `2 robots`.
 #[must_use]
 pub fn counted(count: usize, thing: &str) -> String {
     match count {
@@ -112,7 +113,7 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
     }
 }
 
-/// A marked part of a line.
+/// A marked part of a source line.
 struct Mark {
     span: std::ops::Range<usize>,
     label: String,
@@ -121,8 +122,8 @@ struct Mark {
     left_out: usize,
 }
 
-/// The lines to show for a finding, each with its marks: the finding's line with the expected value, or, if a chain of places explains
-/// the finding, the lines of that chain.
+/// Returns the lines to show for a finding, each with its number and marks. If a chain of places explains the finding, they are the lines
+/// of these places; otherwise, the line of the finding with the expected value.
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     let mut places: Vec<_> = finding.chain().enumerate().collect();
     if places.is_empty() {
@@ -144,8 +145,8 @@ fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     lines
 }
 
-/// The part of a line around a place, or the whole line if it is short; the byte range of the place in that part; and the number of
-/// characters left out before the part.
+/// Returns the part of a line around a place, or the whole line if it is short. Also returns the byte range of the place in that part,
+/// and the number of characters left out before the part.
 fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>, usize) {
     let column = column.saturating_sub(1);
     let first = column.saturating_sub(LINE_CHARS_MAX / 2);

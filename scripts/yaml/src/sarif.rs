@@ -1,10 +1,10 @@
-//! Findings as SARIF 2.1.0 (OASIS, 2020), the format that code hosts read to annotate files.
+//! Writes findings as SARIF 2.1.0 (OASIS, 2020), the format that code hosts read to annotate files.
 
 use serde_json::{Value, json};
 
 use crate::finding::{Code, Finding, Related, Severity};
 
-/// The findings as one SARIF run, with a rule for each code that occurs.
+/// Converts the findings to a SARIF document with one run, which has a rule for each code that occurs.
 #[must_use]
 pub fn sarif(findings: &[Finding]) -> Value {
     let mut codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();

@@ -1,15 +1,16 @@
-//! Displays untrusted text: text from a robot, a file or a peer can neither control a terminal nor break a table.
+//! Makes untrusted text safe to display: text from a robot, a file or a peer can neither control a terminal nor break a table.
 //!
-//! All output passes through [`shown`]: lines, tables, pictures, the log. JSON has its own escaping rules.
+//! All text that the program prints passes through [`shown`]: lines, tables, pictures, the log. JSON is escaped by its own rules.
 
 use std::borrow::Cow;
 
 use unicode_width::UnicodeWidthChar;
 
-/// Maximum number of columns of one text; protocol strings have at most 256 characters.
+/// Maximum number of terminal columns that one text may take. Strings in the protocol have at most 256 characters.
 const COLUMNS_MAX: usize = 1_000;
 
-/// Characters that are invisible or change how others are displayed: text direction, joiners without a glyph, annotations, tags.
+/// Ranges of characters that are invisible or change how other characters are displayed: text direction, joiners without a glyph,
+/// annotations.
 const INVISIBLE: [(char, char); 9] = [
     ('\u{ad}', '\u{ad}'),
     ('\u{61c}', '\u{61c}'),
@@ -29,7 +30,7 @@ pub fn shown(text: &str) -> Cow<'_, str> {
     within(text, COLUMNS_MAX)
 }
 
-/// Shortens a text to its first 60 characters, for a message.
+/// Shortens a text for a message. A text of more than 60 characters is cut after 60 and ends with `...`.
 pub fn shortened(text: &str) -> String {
     match text.char_indices().nth(60) {
         Some((at, _)) => format!("{}...", &text[..at]),
@@ -37,7 +38,7 @@ pub fn shortened(text: &str) -> String {
     }
 }
 
-/// Like [`shown`], but limited to `columns` columns. A text that is cut ends in `…`.
+/// Like [`shown`], but limited to `columns` terminal columns. A text that is cut ends with `…`.
 #[must_use]
 pub fn within(text: &str, columns: usize) -> Cow<'_, str> {
     if text.len() <= columns && text.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
@@ -84,7 +85,8 @@ fn is_harmless(character: char) -> bool {
     !character.is_control() && !invisible && !tag
 }
 
-/// Escapes a text of several lines, except line ends, tabs and this program's own colours. Its parts must already be harmless.
+/// Escapes control characters in a text of several lines, except line ends, tabs and the escape sequences for colours. Untrusted parts of
+/// the text must already have been escaped, because their colours would pass.
 #[must_use]
 pub fn block(text: &str) -> Cow<'_, str> {
     if text.chars().all(|character| character == '\n' || is_harmless(character)) {
@@ -108,7 +110,8 @@ pub fn block(text: &str) -> Cow<'_, str> {
     Cow::Owned(safe)
 }
 
-/// The length of the escape sequence for a colour or font weight at the beginning of the text, if any.
+/// Returns the length, in bytes, of the escape sequence for a colour or font weight at the beginning of the text; `None` if there is
+/// none.
 fn colour(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\u{1b}[")?;
     let end = parameters.find(|c: char| !c.is_ascii_digit() && c != ';')?;

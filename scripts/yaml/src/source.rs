@@ -9,13 +9,13 @@ use crate::formats;
 use crate::open::open;
 use crate::refusal::{Attempt, Refusal};
 
-/// Maximum size of a file that is read: 64 MiB, in bytes.
+/// Maximum size of a file that is read, in bytes (64 MiB).
 pub const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
-/// Maximum number of file names in a folder that are compared with the name of a missing file.
+/// Maximum number of files in a folder whose names are compared with that of a missing file.
 const SIMILAR_MAX: usize = 1_000;
 
-/// The character that some editors write at the beginning of a file.
+/// The byte order mark, which some editors write at the beginning of a file.
 pub const BYTE_ORDER_MARK: char = '\u{feff}';
 const BYTE_ORDER_MARK_BYTES: &[u8] = &[0xef, 0xbb, 0xbf];
 
@@ -57,13 +57,13 @@ impl Source {
 const USE_A_TEXT_FILE: &str = "use a text file";
 const USE_A_FILE_IN_IT: &str = "use a file in this folder";
 
-/// Whether a hint of this module states only the kind of file that is needed, so that a more specific hint may replace it.
+/// Whether `hint` comes from this module and states only the kind of file that is needed. A more specific hint may then replace it.
 #[must_use]
 pub fn is_general(hint: &str) -> bool {
     [USE_A_TEXT_FILE, USE_A_FILE_IN_IT].contains(&hint)
 }
 
-/// The finding for a file that is valid UTF-8 only up to the byte `valid`.
+/// Returns the finding for a file that is not UTF-8 text. `valid` is the number of valid bytes at its beginning.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
     let save = || format!("save the file with the encoding UTF-8{in_excel}");
@@ -86,7 +86,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     Finding::about_file(Code::Unreadable, name, message, "a text file in UTF-8", Some(hint))
 }
 
-/// The file in the same folder that the user probably meant.
+/// Returns a hint with the file in the same folder that the user probably meant.
 fn similar(path: &Path) -> Option<String> {
     let wanted = path.file_name()?.to_str()?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -131,7 +131,7 @@ pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
     Ok(bytes)
 }
 
-/// The finding for a file that cannot be opened or read.
+/// Returns the finding for a file that cannot be opened or read.
 pub fn refused(path: &Path, error: &io::Error) -> Finding {
     if error.kind() == ErrorKind::IsADirectory {
         let hint = Some(USE_A_FILE_IN_IT.to_owned());

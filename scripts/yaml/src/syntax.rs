@@ -5,10 +5,10 @@ use crate::render::{line_of, line_starts};
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 
-/// The text of the YAML library's error for excessive nesting.
+/// The text that the YAML library's error for excessive nesting contains.
 pub const RECURSION: &str = "recursion limit";
 
-/// The finding for a text that the YAML library rejects.
+/// Returns the finding for a text that the YAML library rejects.
 pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     let whole = error.to_string();
     let end = whole.find(" at line ").unwrap_or(whole.len());
@@ -32,7 +32,8 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     finding
 }
 
-/// Completes the finding for a file with several documents. The second document begins at the first `---` after other content.
+/// Adds the message, hint and place to the finding for a file with several documents. The place is the first `---` after other content,
+/// where the second document begins.
 fn several_documents(source: &Source, finding: &mut Finding) {
     "the file has more than one document".clone_into(&mut finding.message);
     finding.hint = Some("keep one document per file: remove the `---` between them".into());
@@ -45,7 +46,7 @@ fn several_documents(source: &Source, finding: &mut Finding) {
     }
 }
 
-/// Detects common mistakes: byte order marks, tabs, a colon without a space.
+/// Detects common mistakes near the error: byte order marks, tabs, a colon without a space. Returns a hint, and may change the message.
 fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
     if marked {
@@ -91,20 +92,20 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
 
 const NO_BREAK_SPACE: char = '\u{a0}';
 
-/// The name in `${name}`, if the line contains such braces.
+/// Returns the name in `${name}`; `None` if the line contains no such braces.
 fn braced(line: &str) -> Option<&str> {
     let (_, rest) = line.split_once("${")?;
     let name = &rest[..rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len())];
     (!name.is_empty()).then_some(name)
 }
 
-/// A hint for `at:0s`, which YAML reads as a single word.
+/// Returns a hint for a known key without a space after its colon, as in `at:0s`, which YAML reads as a single word.
 pub fn without_space(key: &str, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(':')?;
     known.contains(&name.trim()).then(|| spaced(name, rest))
 }
 
-/// A hint for the key `to 30`, where the colon is missing.
+/// Returns a hint for a known key without a colon, as in `to 30`.
 pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(' ')?;
     known
@@ -112,7 +113,7 @@ pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
         .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))
 }
 
-/// Like [`without_space`], but for any word as the key.
+/// Like [`without_space`], but accepts any word as the key.
 pub fn without_space_at_all(text: &str) -> Option<String> {
     let (name, rest) = text.split_once(':')?;
     let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
@@ -125,8 +126,8 @@ fn spaced(name: &str, rest: &str) -> String {
     format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
-/// The line and column of a byte offset, both counted from 1. The parser also ends lines at the additional line breaks of YAML 1.1, which
-/// editors do not show as such.
+/// Returns the line and column of a byte offset, both counted from 1, as editors count them. The positions of the parser differ: it also
+/// ends lines at the additional line breaks of YAML 1.1.
 fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
     let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
     let (line, start) =
@@ -140,7 +141,8 @@ fn shortened_to(text: &str, chars: usize) -> String {
 
 const NO_COLON: &str = "this line has no colon";
 
-/// Start of a construct that the parser could not complete, from its message: `while parsing a flow sequence at line 8 column 17`.
+/// The construct that the parser could not complete, and its start. Both are taken from the parser's message: `while parsing a flow
+/// sequence at line 8 column 17`.
 struct Begun<'a> {
     what: &'a str,
     line: usize,
@@ -158,7 +160,7 @@ impl<'a> Begun<'a> {
     }
 }
 
-/// The byte offset of a position that the parser reports. The parser has more line break characters than editors have.
+/// Returns the byte offset of a position that the parser reports. The parser counts more characters as line breaks than editors do.
 fn byte_of(text: &str, line: usize, column: usize) -> usize {
     let ends = |c: char| matches!(c, '\n' | '\r' | '\u{85}' | '\u{2028}' | '\u{2029}');
     let mut start = 0;
@@ -172,8 +174,8 @@ fn byte_of(text: &str, line: usize, column: usize) -> usize {
     start + ahead.sum::<usize>()
 }
 
-/// The key of the line above line `number`, and its column from 1. `None` unless that key already has a value and line `number` is
-/// indented more deeply.
+/// Returns the key in the line above line `number`, and the column of the key, counted from 1. `None` unless that key already has a value
+/// and line `number` is indented more deeply.
 fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
     let indented = |line: &str| line.chars().take_while(|c| *c == ' ').count();
     let line = line_of(text, number);
@@ -193,7 +195,8 @@ fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     finding.column = line.len() - line.trim_start().len() + 1;
 }
 
-/// Completes the finding for a second colon in a line: a colon within a value, or a map that begins on the line of its key.
+/// Adds the message and hint to the finding for a second colon in a line. It is part of a value, or belongs to a map that begins on the
+/// line of its key.
 fn second_colon(finding: &mut Finding, line: &str) {
     "a second colon in one line".clone_into(&mut finding.message);
     "one key and its value".clone_into(&mut finding.expected);
@@ -208,7 +211,7 @@ fn second_colon(finding: &mut Finding, line: &str) {
     });
 }
 
-/// Completes the finding for an unknown alias: YAML takes a text that begins with an asterisk as an alias.
+/// Adds the message and hint to the finding for an unknown alias. YAML reads a text that begins with an asterisk as an alias.
 fn unknown_alias(finding: &mut Finding, line: &str) {
     "unknown alias: an asterisk begins the name of an alias".clone_into(&mut finding.message);
     "a value that begins with another character".clone_into(&mut finding.expected);
@@ -220,7 +223,7 @@ fn unknown_alias(finding: &mut Finding, line: &str) {
     });
 }
 
-/// Moves the parser's error to the place that has to be corrected, and explains it with a hint.
+/// Moves the finding for an error of the parser to the place that the user has to correct, and adds a hint.
 fn explain(finding: &mut Finding, whole: &str, text: &str) {
     let line = line_of(text, finding.line);
     if whole.starts_with("mapping values are not allowed") {

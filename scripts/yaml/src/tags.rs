@@ -1,4 +1,4 @@
-//! Tags of other programs, such as `!!python/tuple` and `!degrees`: rejected everywhere, never executed.
+//! Finds YAML tags of other programs, such as `!!python/tuple` and `!degrees`. They are rejected everywhere, and never executed.
 
 use saphyr_parser::Event;
 
@@ -8,13 +8,13 @@ use crate::render::line_of;
 use crate::shown::shortened;
 use crate::source::Source;
 
-/// Maximum number of tags that are listed per file.
+/// Maximum number of tags that are reported per file.
 const TAGS_MAX: usize = 100;
-/// Maximum length of the line that a finding carries, in characters.
+/// Maximum length of the source line in a finding, in characters. Longer lines are cut.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// A finding for each tag outside YAML's core schema. The event parser reports all tags, including those that the parser of the tree
-/// drops.
+/// Returns a finding for each tag outside YAML's core schema. The event parser reports all tags, including those that are dropped when
+/// the tree is built.
 pub fn foreign_tags(source: &Source) -> Vec<Finding> {
     let mut findings = Vec::new();
     if !source.text.contains('!') {

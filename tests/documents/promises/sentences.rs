@@ -1,13 +1,13 @@
-//! The sentences of a document.
+//! Splits a document into sentences.
 
-/// Returns all sentences of a Markdown text in order, as they read: white space becomes one space, a link becomes its text, and bold text
-/// becomes plain. Headings and code blocks are skipped. A list item or a table row begins a sentence; the cells of a row are joined by `
-/// | `.
+/// Returns all sentences of a Markdown text in order, as plain text: white space becomes one space, a link becomes its text, and bold
+/// text becomes plain. Headings and code blocks are skipped. A list item or a table row begins a new sentence. The cells of a row are
+/// joined by ` | `.
 pub fn sentences(markdown: &str) -> Vec<String> {
     blocks(markdown).iter().flat_map(|block| split(&plain(block))).collect()
 }
 
-/// Paragraphs, list items and table rows, each on one line.
+/// Returns the paragraphs, list items and table rows, each as one line.
 fn blocks(markdown: &str) -> Vec<String> {
     let (mut blocks, mut words, mut is_code) = (Vec::new(), Vec::new(), false);
     let mut end = |words: &mut Vec<&str>| {
@@ -40,7 +40,7 @@ fn blocks(markdown: &str) -> Vec<String> {
     blocks
 }
 
-/// The text of a list item, or `None` for any other line.
+/// Returns the text of a list item; `None` for any other line.
 fn item(line: &str) -> Option<&str> {
     let numbered = line.trim_start_matches(|c: char| c.is_ascii_digit());
     line.strip_prefix("- ").or_else(|| numbered.strip_prefix(". ").filter(|_| numbered.len() < line.len()))

@@ -1,4 +1,4 @@
-//! Checks that the judge detects faults: one faultless mission, falsified in one respect after another.
+//! Checks that the judge (`judge.rs`) detects faults: one faultless mission, whose record is falsified in one respect at a time.
 
 use downbeat_robot::set_log::{LogEntry, MotionKind};
 use serde_json::{Value, json};
@@ -10,7 +10,7 @@ use stage::Ended;
 
 const SECOND: i64 = 1_000_000_000;
 
-/// Plays two robots, two acts, two scripts each, without any fault.
+/// Plays a mission with two robots, two acts, and two scripts per act and device, without any fault.
 fn faultless() -> Played {
     play(Drawn {
         seed: 0,
@@ -42,7 +42,7 @@ fn struck(played: &mut Played, robot: Option<usize>, what: What) {
     played.struck.push(Struck { robot, what, from, until: i64::MAX });
 }
 
-/// Adds a movement that was not requested, after the end of the mission.
+/// Adds a movement without a request to a robot's log, after the end of the mission.
 fn moved(played: &mut Played, motion: MotionKind) {
     let mut last = played.logs[0][0].last().unwrap().clone();
     (last.motion, last.step, last.request_id) = (motion, None, None);
@@ -50,7 +50,7 @@ fn moved(played: &mut Played, motion: MotionKind) {
     played.logs[0][0].push(last);
 }
 
-/// The name under which the fault is found, and the falsification of the mission's record.
+/// The name of the finding that the judge must report, and the function that falsifies the mission's record.
 type Doctored = (&'static str, fn(&mut Played));
 
 const DOCTORED: &[Doctored] = &[

@@ -1,12 +1,12 @@
-//! A mission and its faults, all drawn from one seed.
+//! A random mission and its faults, all derived from one seed.
 
 use std::time::Duration;
 
 /// Number of steps of one script.
 pub const STEPS: usize = 4;
-/// Number of values that are reserved for one act.
+/// Number of consecutive values that are reserved for each act, so that a value identifies its act.
 pub const VALUES: usize = 20;
-/// The device `arm` reaches a value that is higher by this, half a step after `d` is set.
+/// Difference between the values of the two devices: half a step after `d` is set to a value, `arm` reaches that value plus this.
 pub const ARM: f64 = 0.5;
 /// Maximum delay that a robot adds to each message, in each direction.
 pub const DELAY_MS: u64 = 20;
@@ -14,25 +14,25 @@ pub const DELAY_MS: u64 = 20;
 /// A fault of a robot.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    /// SIGSTOP.
+    /// The robot is suspended by SIGSTOP.
     Frozen,
-    /// SIGKILL.
+    /// The robot is killed by SIGKILL.
     Killed,
-    /// SIGKILL, and started again on the same port.
+    /// The robot is killed by SIGKILL and started again on the same port.
     Restarted(Back),
-    /// Its link is closed, and new connections are refused.
+    /// The robot's link is closed, and new connections are refused.
     Cut,
-    /// Its link is closed, and new connections stay open and carry nothing.
+    /// The robot's link is closed; new connections stay open and carry nothing.
     Interrupted,
-    /// Its link stays open and carries nothing; messages are delivered later.
+    /// The robot's link stays open and carries nothing; its messages are delivered after the fault.
     Muted,
-    /// Its link stays open, but no message reaches it.
+    /// The robot's link stays open, but no message reaches the robot.
     Deaf,
-    /// Its link stays open, but none of its messages passes.
+    /// The robot's link stays open, but no message from the robot passes.
     Dumb,
-    /// Its link stays open and is permanently dead; a new connection would work.
+    /// The robot's link stays open and never carries anything again; a new connection would work.
     Stranded,
-    /// Each message is delayed by this time.
+    /// Each message to or from the robot is delayed by this time.
     Slow(Duration),
 }
 
@@ -40,13 +40,13 @@ pub enum Fault {
 #[derive(Clone, Copy, Debug)]
 pub enum Back {
     Same,
-    /// With another clock.
+    /// The robot returns with another clock.
     OtherClock,
-    /// Under another id.
+    /// Another robot, with another id, answers at the address.
     Stranger,
 }
 
-/// The action of another process after the scheduler was killed, and its delay.
+/// The commands that another process runs after the scheduler was killed, and their delays.
 #[derive(Clone, Copy, Debug)]
 pub enum Then {
     Nothing,
@@ -55,7 +55,7 @@ pub enum Then {
     ResumeAndStop(Duration, Duration),
 }
 
-/// A fault of a mission.
+/// A fault or command that disturbs a mission.
 #[derive(Clone, Copy, Debug)]
 pub enum Strike {
     Robot {
@@ -65,41 +65,42 @@ pub enum Strike {
     },
     SchedulerFrozen(Duration),
     SchedulerKilled(Then),
-    /// `downbeat stop`, and possibly a second one.
+    /// An operator runs `downbeat stop`, and possibly a second `downbeat stop` after a delay.
     Stop {
         home: bool,
         again: Option<Duration>,
     },
-    /// `downbeat resume` while the scheduler is alive.
+    /// An operator runs `downbeat resume` while the scheduler is alive.
     ResumeTooSoon,
-    /// `downbeat stop` while the scheduler is frozen: the delay of the stop, and the duration of the freeze.
+    /// An operator runs `downbeat stop` while the scheduler is frozen: the delay of the stop after the freeze begins, and the duration of
+    /// the freeze.
     StopWhileFrozen(Duration, Duration),
 }
 
 #[derive(Clone, Copy, Debug)]
 pub enum When {
-    /// This long after the start of the scheduler.
+    /// The fault begins this long after the start of the scheduler.
     After(Duration),
-    /// This long before the start of an act; negative: after it.
+    /// The fault begins this many milliseconds before the start of an act; a negative number: after the start.
     Before { act: usize, millis: i64 },
 }
 
 /// A robot's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum Clock {
-    /// It follows NTP with an error up to this, in microseconds.
+    /// The clock follows NTP with an error of at most this many microseconds.
     Ntp(u64),
-    /// It is ahead by this many milliseconds, and is not corrected.
+    /// The clock is ahead by this many milliseconds and is not corrected; the scheduler measures its offset.
     Measured(u64),
 }
 
-/// The reports of a robot about its scripts.
+/// What a robot tells the scheduler about its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tells {
     Everything,
-    /// It answers inquiries, but sends no reports.
+    /// The robot answers inquiries, but sends no reports.
     WhenAsked,
-    /// It reports, but answers no inquiries.
+    /// The robot sends reports, but answers no inquiries.
     ByItself,
     Nothing,
 }
@@ -122,13 +123,14 @@ pub struct Drawn {
     pub queue: usize,
     pub on_failure: &'static str,
     pub on_doubt: &'static str,
-    /// Number of scripts of each act.
+    /// Number of scripts per device, for each act.
     pub acts: Vec<usize>,
-    /// Interval between two steps.
+    /// Interval between two steps, in milliseconds.
     pub every_ms: usize,
-    /// Lease of the scripts, in milliseconds.
+    /// Lease of the scripts in milliseconds: how long a robot plays without a message from the scheduler.
     pub lease_ms: u64,
-    /// Patience of the mission, in milliseconds: a shorter one ends while leases may still run.
+    /// Patience of the mission (`--patience`), in milliseconds. It may be shorter than the lease, and then ends while leases may still
+    /// run.
     pub patience_ms: u64,
     pub strikes: Vec<(When, Strike)>,
 }
@@ -205,7 +207,7 @@ impl Drawn {
         900 + 300 * self.acts.len() + steps * self.every_ms
     }
 
-    /// Returns the planned values of the devices of a robot, in order of time.
+    /// Returns the planned values of a robot's devices, in chronological order.
     pub fn values(&self) -> Vec<f64> {
         let of_step = |act, step| [value(act, step), value(act, step) + ARM];
         let of_act =
@@ -213,7 +215,7 @@ impl Drawn {
         self.acts.iter().enumerate().flat_map(of_act).collect()
     }
 
-    /// Returns the initialization block of a robot: the device `d` holds its values, and `arm` moves linearly.
+    /// Returns the initialization block of a robot: the device `d` holds each value until the next one, and `arm` moves linearly.
     pub fn init(&self, robot: usize) -> String {
         let queue = self.queue;
         let slows_down =
@@ -253,7 +255,8 @@ impl Drawn {
         )
     }
 
-    /// Returns the arguments of a robot's process, and its keys in the fleet file. `other`: with another clock.
+    /// Returns the arguments of a robot's process, and its keys in the fleet file. If `other`, its clock differs from the one that was
+    /// drawn.
     pub fn setup(&self, robot: usize, other: bool) -> (Vec<String>, &'static str) {
         let seed = self.seed * 8 + robot as u64;
         let (clock, keys) = match self.clocks[robot] {

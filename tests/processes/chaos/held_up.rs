@@ -1,4 +1,5 @@
-//! How long the machine prevented this process from running: delays of a robot or a scheduler at these times are not their fault.
+//! Records the pauses in which the machine prevented this process from running. Delays of a robot or a scheduler in these pauses are not
+//! their fault.
 
 use std::sync::{Mutex, OnceLock};
 use std::time::Duration;
@@ -6,13 +7,13 @@ use std::time::Duration;
 use stage::epoch_nanos;
 
 const EVERY: Duration = Duration::from_millis(5);
-/// Shorter delays are not recorded.
+/// Shortest pause that is recorded, in nanoseconds.
 const LEAST: i64 = 8_000_000;
 
-/// Begin and end of each pause.
+/// Begin and end of each pause of this process, in nanoseconds since the epoch.
 static PAUSES: Mutex<Vec<(i64, i64)>> = Mutex::new(Vec::new());
 
-/// Starts to record pauses, until the process ends.
+/// Starts to record the pauses of this process, until it ends.
 pub fn watch() {
     static ONCE: OnceLock<()> = OnceLock::new();
     ONCE.get_or_init(|| {
@@ -30,7 +31,7 @@ pub fn watch() {
     });
 }
 
-/// Returns the longest pause that overlaps this time, in nanoseconds.
+/// Returns the duration of the longest pause that overlaps the time from `from` to `until`, in nanoseconds; 0 without such a pause.
 pub fn longest(from: i64, until: i64) -> i64 {
     let pauses = PAUSES.lock().unwrap();
     pauses

@@ -14,34 +14,35 @@ use super::play::{Kind, Played, Struck, Told, What};
 use stage::{Logged, nanos};
 
 const MILLIS: i64 = 1_000_000;
-/// A robot that is delayed longer than this over a start does not start.
+/// Maximum delay of a start, in nanoseconds: a robot that would start later than this does not start.
 const START_LATE: i64 = 51 * MILLIS;
-/// A step with this delay on a busy machine is excused and counted, if it is reported as late.
+/// Maximum delay of a step, in nanoseconds, that a busy machine excuses if the step is reported as late. Excused steps are counted.
 const STEP_LATE: i64 = 500 * MILLIS;
-/// Time of messages in flight, in both directions, and of their handling by a process.
+/// Time that a message and its answer may take, in nanoseconds, including the handling by a process.
 const UNDER_WAY: i64 = (2 * DELAY_MS as i64 + 20) * MILLIS;
-/// A message that is sent later than this before the start may cancel the start of some robots but not of others: three round trips, 20
-/// ms, and the time to send it.
+/// Time before the start, in nanoseconds, after which a stop may cancel the start of some robots but not of others: three round trips, 20
+/// ms, and the time to send the stop.
 const NO_RETURN: i64 = 3 * UNDER_WAY + 40 * MILLIS;
-/// Time within which an operator's stop reaches every reachable robot, however busy the machine is.
+/// Time within which an operator's stop brings every reachable robot to rest, in nanoseconds, however busy the machine is.
 const AT_REST: i64 = 3_000 * MILLIS;
-/// Time after which `downbeat stop` gives up a scheduler that does not answer.
+/// Time after which `downbeat stop` no longer waits for a scheduler that does not answer, in nanoseconds.
 const GIVEN_UP: i64 = 1_000 * MILLIS;
-/// A machine that was busy for this long, within `SHORTLY` before the end, may make a robot seem silent.
+/// A pause of the machine, in nanoseconds, that may make a robot seem silent, if it occurs within `SHORTLY` before the end of the
+/// program.
 const HELD_UP: i64 = 30 * MILLIS;
 const SHORTLY: i64 = 3_000 * MILLIS;
-/// Time to start a process on a busy machine.
+/// Time to start a process on a busy machine, in nanoseconds.
 const PROCESS: i64 = 500 * MILLIS;
 
 /// The findings about a mission.
 #[derive(Default)]
 pub struct Verdict {
     pub wrong: Vec<String>,
-    /// For each promised act: `all`, `none` or why it was mixed.
+    /// For each promised act: `all` or `none` if all or no robots started, otherwise why only some did.
     pub acts: Vec<&'static str>,
-    /// Other findings that the busy machine excused.
+    /// Other deviations, excused because the machine was busy.
     pub busy: Vec<String>,
-    /// Number of robots that were blamed because the scheduler was suspended before any promise.
+    /// Number of robots that were reported as failed because the scheduler was suspended before it promised any act.
     pub greetings: u32,
 }
 
@@ -73,27 +74,27 @@ pub fn judge(played: &Played) -> Verdict {
     judge.verdict
 }
 
-/// Whether this is the report of a direct stop, which has no information about the acts.
+/// Whether this is the report of a `downbeat stop` that stopped the robots itself, which contains no information about the acts.
 fn is_withdrawal(report: &Value) -> bool {
     report["acts"].is_null()
 }
 
-/// A promised act.
+/// An act that the scheduler has promised by a record in the journal.
 #[derive(Clone)]
 struct Promise {
-    /// Index of its record in the journal.
+    /// Index of the promise in the journal.
     place: usize,
     act: usize,
-    /// An act that is prepared again has another number.
+    /// Number of the act in the mission. An act that is prepared again gets another number.
     number: u64,
     sent: i64,
     start: i64,
     lease: i64,
-    /// Time before the start: silence that begins later may be noticed too late.
+    /// Time before the start, in nanoseconds: if a robot falls silent later than this, the scheduler may notice it too late.
     doubt: i64,
-    /// Robots, and when each was left out.
+    /// The act's robots, and for each the time at which it was left out; `None` if it was not.
     members: BTreeMap<usize, Option<i64>>,
-    /// The scripts, by their request ids.
+    /// The promised scripts, by their request ids.
     scripts: BTreeMap<String, PromisedScript>,
 }
 
@@ -145,12 +146,12 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
         .collect()
 }
 
-/// Collects contradictions.
+/// Collects contradictions between the reports, the journal and the robots' logs.
 struct Judge<'a> {
     played: &'a Played,
-    /// The values that each robot set, except on the move to the default positions.
+    /// For each robot, the values that it set, except while it moved to the default positions.
     sets: Vec<Vec<Logged>>,
-    /// The steps of each robot on the move to the default positions.
+    /// For each robot, the values that it set while it moved to the default positions.
     home: Vec<Vec<Logged>>,
     promises: Vec<Promise>,
     verdict: Verdict,
@@ -175,13 +176,13 @@ impl Judge<'_> {
         self.faults(robot).any(|struck| struck.from <= until && struck.until >= from)
     }
 
-    /// Whether its process was killed: its log may lack the last values.
+    /// Whether the robot's process was killed, so that its log may lack the last values.
     fn lost_its_memory(&self, robot: usize) -> bool {
         self.faults(Some(robot))
             .any(|struck| matches!(struck.what, What::Robot(Fault::Killed | Fault::Restarted(_))))
     }
 
-    /// Checks that every program ends, with the exit code that its report implies.
+    /// Checks that every program ends, and that its exit code fits its report.
     fn programs(&mut self) {
         for told in &self.played.told {
             let killed =
@@ -221,7 +222,7 @@ impl Judge<'_> {
         told.code() == Some(expected)
     }
 
-    /// Whether a missing report is permitted: before the mission has its journal, and after its end, nothing can be stopped or resumed.
+    /// Whether a program may end without a report. Before the mission has a journal and after its end, nothing can be stopped or resumed.
     fn may_have_no_report(&self, told: &Told) -> bool {
         let record = |kind: &str| self.played.journal.iter().find(|(_, record)| record["record"] == kind);
         let before = record("opened").is_none_or(|(at, _)| *at >= told.began);
@@ -236,14 +237,14 @@ impl Judge<'_> {
         }
     }
 
-    /// Whether the scheduler is alive, so that its mission cannot be resumed. A killed scheduler is alive until its process is gone,
-    /// which takes some time on a busy machine.
+    /// Whether the scheduler is still alive when `resume` begins, so that the mission cannot be resumed. A killed scheduler is alive
+    /// until its process is gone, which takes some time on a busy machine.
     fn lives(&self, resume: &Told) -> bool {
         let run = self.played.told.iter().find(|told| told.kind == Kind::Run);
         run.is_none_or(|run| resume.began < run.gone)
     }
 
-    /// Checks that all robots of an act start, or none does.
+    /// Checks for each promised act that all of its robots start or none does, unless a fault explains the difference.
     fn starts(&mut self) {
         for which in 0..self.promises.len() {
             let cause = self.how_it_started(which);
@@ -303,7 +304,7 @@ impl Judge<'_> {
         Err(format!("(mixed) act {}: {starters:?} started, {missed:?} did not", promise.act))
     }
 
-    /// Whether stops were sent, for any reason.
+    /// Whether a stop was sent within this time, for any reason.
     fn stopped_within(&self, from: i64, until: i64) -> bool {
         let recorded = self
             .played
@@ -314,7 +315,7 @@ impl Judge<'_> {
         recorded || self.played.told.iter().any(|told| asked(&told))
     }
 
-    /// Checks that no value occurs twice, all values are in order, and none belongs to another robot.
+    /// Checks a robot's log: each step occurs once, the values of a device are in order, and none belongs to another robot.
     fn log(&mut self, robot: usize) {
         let sets = self.sets[robot].clone();
         let values: Vec<f64> = sets.iter().map(|entry| entry.value).collect();
@@ -337,7 +338,7 @@ impl Judge<'_> {
         self.say(robot == 0 && self.played.strangers > 0, || "(stranger) another robot was moved".to_owned());
     }
 
-    /// Checks that every movement has a reason.
+    /// Checks that every logged movement of a robot has a reason: a promised script, or the way to the default positions.
     fn movements(&mut self, robot: usize) {
         let promised = |id: &str| {
             let (act, script) = self.promises.iter().find_map(|p| Some((p.act, p.scripts.get(id)?)))?;
@@ -362,7 +363,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Returns the planned time of a step, by the one true clock.
+    /// Returns the planned time of a step by the true clock, in nanoseconds; `None` if no promised script contains the step.
     fn due(&self, entry: &Logged) -> Option<i64> {
         let promise = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))?;
         let every = self.played.drawn.every_ms;
@@ -371,7 +372,7 @@ impl Judge<'_> {
         Some(promise.start + i64::try_from(step).unwrap() * MILLIS)
     }
 
-    /// Checks that steps occur at their planned times by the one true clock, within the skew budget.
+    /// Checks that a robot sets its values at their planned times by the true clock, within the timing error that the report states.
     fn in_time(&mut self, robot: usize) {
         for entry in self.sets[robot].clone() {
             let Some(due) = self.due(&entry) else { continue };
@@ -397,7 +398,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Returns how early and how late a robot may start an act, as stated in advance; without a report, any tolerated error.
+    /// Returns how early (negative) and how late a robot may start an act, in nanoseconds, as the report states. If no report states it,
+    /// returns the largest tolerated error.
     fn budget(&self, robot: usize, entry: &Logged) -> (i64, i64) {
         let unknown = (-60 * MILLIS, 60 * MILLIS);
         let Some(promise) = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))
@@ -425,7 +427,7 @@ impl Judge<'_> {
         })
     }
 
-    /// Returns the times in which no message of the mission reaches a robot.
+    /// Returns the periods in which no message of the mission reaches a robot.
     fn unheard(&self, robot: usize) -> Vec<(i64, i64)> {
         let own = self.faults(Some(robot)).filter(|struck| {
             let deaf = [Fault::Cut, Fault::Interrupted, Fault::Muted, Fault::Deaf, Fault::Frozen];
@@ -441,8 +443,8 @@ impl Judge<'_> {
         own.map(|struck| (struck.from, struck.until)).chain(silent).collect()
     }
 
-    /// Returns when a robot last received a message of the mission, if the mission sends nothing after this instant. Messages that a link
-    /// holds at that instant arrive when the link passes them, and renew a lease that still runs.
+    /// Returns when a robot last received a message of the mission, if the mission sends nothing after `silent_from`. A link may hold
+    /// messages at that instant: they arrive when it passes them, and renew a lease that still runs.
     fn last_heard(&self, robot: usize, silent_from: i64) -> i64 {
         let holds = |struck: &&Struck| {
             matches!(struck.what, What::Robot(Fault::Muted | Fault::Deaf))
@@ -452,7 +454,7 @@ impl Judge<'_> {
         self.faults(Some(robot)).filter(holds).map(|struck| struck.until).max().unwrap_or(silent_from)
     }
 
-    /// Checks that a robot does nothing after it has received no message for longer than its lease.
+    /// Checks that a robot plays nothing after the end of its lease, the time for which it may continue without a message.
     fn leases(&mut self, robot: usize) {
         for (from, until) in self.unheard(robot) {
             let from = self.last_heard(robot, from);
@@ -476,7 +478,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Checks that after confirming a stop, a robot plays only scripts that were sent later, for an act that is prepared again.
+    /// Checks that a robot that has confirmed a stop plays no script that was promised before. It may play later scripts, for an act that
+    /// is prepared again.
     fn confirmed(&mut self, robot: usize) {
         let is_stop =
             |record: &Value| record["record"] == "stop_confirmed" && index(&record["robot"]) == robot;
@@ -497,7 +500,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Checks that `downbeat stop` brings every reachable robot to rest within its limit.
+    /// Checks that `downbeat stop` brings every reachable robot to rest within `AT_REST`.
     fn operators_stop(&mut self) {
         for told in self.played.told.iter().filter(|told| told.kind == Kind::Stop && told.code() != Some(2)) {
             let frozen = self.struck_within(None, told.began, told.began + GIVEN_UP);
@@ -542,7 +545,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Checks that a robot that still moves after the report is named in it, with an instant by which it is at rest.
+    /// Checks that a report names each robot that still moves after the report, and states an instant by which the robot is at rest.
     fn at_rest(&mut self, told: &Told, row: &Value) {
         let robot = index(&row["robot"]);
         let rests = |entry: &&LogEntry| matches!(entry.motion, MotionKind::Rest | MotionKind::Slow);
@@ -566,7 +569,7 @@ impl Judge<'_> {
         });
     }
 
-    /// Checks the report about one robot, for the acts that the report covers.
+    /// Checks the row of a report about one robot against the robot's log, for the acts that the report covers.
     fn row(&mut self, outcome: &str, report: &Value, row: &Value) {
         let robot = index(&row["robot"]);
         let acts = report["acts"].as_array().into_iter().flatten();
@@ -615,8 +618,8 @@ impl Judge<'_> {
         });
     }
 
-    /// Checks that only robots with a fault have failed, or lost their scripts with the scheduler. If this machine stalled, all robots
-    /// may seem to have failed.
+    /// Checks that a robot that is reported as failed had a fault, or lost its scripts because the scheduler failed. If this machine
+    /// stalled, all robots may seem to have failed.
     fn blame(&mut self, told: &Told, failure: &Value) {
         let robot = index(&failure["robot"]);
         let struck = self.faults(Some(robot)).any(|struck| struck.from <= told.gone);
@@ -638,7 +641,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Checks a report of complete success: all robots have played everything, except those that failed.
+    /// Checks a report of success: each robot has played everything, unless it failed.
     fn done(&mut self, report: &Value) {
         let failures = report["failures"].as_array().unwrap();
         let rows = report["robots"].as_array().unwrap();
@@ -655,8 +658,8 @@ impl Judge<'_> {
     }
 }
 
-/// Returns the index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None` for the way
-/// home.
+/// Returns the index of an act in the scenario; `None` for the act that moves the robots to the default positions. The act's number in
+/// the mission is higher if an act was prepared again.
 fn place_of(act: &Value) -> Option<usize> {
     act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok())
 }
@@ -665,7 +668,7 @@ fn act_of(entry: &Logged) -> usize {
     (entry.value as usize - 1) / VALUES
 }
 
-/// Returns the index of the step in its act.
+/// Returns the index of a step in its act.
 fn step_of(entry: &Logged) -> usize {
     (entry.value as usize - 1) % VALUES
 }

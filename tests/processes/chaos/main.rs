@@ -1,6 +1,6 @@
 //! Missions of several acts with real processes. Robots, links and schedulers are frozen, killed, cut off and restarted at random
 //! moments, and other processes resume and stop missions. All reports have to agree with the robots' own logs. `DOWNBEAT_CHAOS=300` sets
-//! the number of missions, `DOWNBEAT_CHAOS_FIRST=17` the first one.
+//! the number of missions, `DOWNBEAT_CHAOS_FIRST=17` the number of the first one.
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -19,14 +19,14 @@ use draw::Drawn;
 use judge::{Verdict, judge};
 use play::{Kind, Played, play};
 
-/// Number of missions that are played at once: they sleep most of the time.
+/// Number of missions that are played at the same time. They sleep most of the time.
 const AT_ONCE: usize = 4;
-/// Maximum share of the promised acts that only a part of their robots starts, for any reason.
+/// Maximum share of the promised acts that some of their robots start and others do not, for any reason.
 const MIXED_MAX: f64 = 0.12;
-/// Maximum share of missions that are excused in some respect by a busy machine.
+/// Maximum share of the missions in which a busy machine excuses a deviation.
 const BUSY_MAX: f64 = 0.15;
 
-/// The results of all missions.
+/// The combined results of all missions of a test run.
 #[derive(Default)]
 struct Tally {
     outcomes: BTreeMap<String, u32>,
@@ -66,7 +66,7 @@ impl Tally {
         println!("{:5}  robots blamed because the scheduler stalled in the greeting", self.greetings);
     }
 
-    /// Returns the share of acts that some robots started, and others that were not left out before did not.
+    /// Returns the share of the promised acts that some robots started and others did not, although these were not left out before.
     fn mixed(&self) -> f64 {
         let of = |counted: &dyn Fn(&str) -> bool| -> u32 {
             self.acts.iter().filter(|(how, _)| counted(how)).map(|(_, count)| count).sum()
@@ -76,7 +76,7 @@ impl Tally {
     }
 }
 
-/// Returns everything that helps to understand a mission, in the order of time.
+/// Returns the events of a mission in chronological order: faults, journal records, set values, and programs.
 fn story(played: &Played) -> String {
     let drawn = format!("{:?}", played.drawn);
     let began = played.told[0].began;

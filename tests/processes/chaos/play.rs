@@ -1,4 +1,4 @@
-//! Plays a mission with real processes, causes the drawn faults, and records all messages and actions.
+//! Plays a mission with real processes, causes the faults that were chosen at random, and records all messages and actions.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -13,9 +13,9 @@ use serde_json::Value;
 use super::draw::{Back, Drawn, Fault, Strike, Then, When};
 use stage::{Ended, Logged, Running, Stage, Via, epoch_nanos, nanos, sleep_until};
 
-/// Additional time of a program beyond the mission and its faults.
+/// Time that a program may take beyond the planned duration of the mission.
 const SLACK: Duration = Duration::from_secs(25);
-/// Maximum wait for the promise of an act.
+/// Maximum wait, from the start of the mission, until the scheduler promises an act.
 const COMES: Duration = Duration::from_secs(15);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,19 +25,19 @@ pub enum Kind {
     Stop,
 }
 
-/// A started program, and its result.
+/// A program that was started, and its result.
 #[derive(Clone)]
 pub struct Told {
     pub kind: Kind,
     pub began: i64,
-    /// End of its process, by the host's clock.
+    /// Time at which the process ended, by the host's clock, in nanoseconds.
     pub gone: i64,
-    /// Its output until then, if it hung.
+    /// Result of the process; if it hung, the output until then.
     pub ended: Result<Ended, String>,
 }
 
 impl Told {
-    /// Returns its report about robots; `None` if its report contains no robots.
+    /// Returns the program's report about the robots; `None` if it printed none.
     pub fn report(&self) -> Option<Value> {
         let said: Value = serde_json::from_str(&self.ended.as_ref().ok()?.out).ok()?;
         Some(said).filter(|said| said["robots"].is_array())
@@ -48,14 +48,14 @@ impl Told {
     }
 }
 
-/// A fault, its target, and its time.
+/// A fault that occurred, its target, and its period.
 #[derive(Clone, Debug)]
 pub struct Struck {
-    /// `None`: the scheduler.
+    /// The faulty robot; `None` if the scheduler was faulty.
     pub robot: Option<usize>,
     pub what: What,
     pub from: i64,
-    /// `i64::MAX`: permanently.
+    /// End of the fault, in nanoseconds; `i64::MAX` if it is permanent.
     pub until: i64,
 }
 
@@ -71,19 +71,19 @@ pub struct Played {
     pub drawn: Drawn,
     pub struck: Vec<Struck>,
     pub told: Vec<Told>,
-    /// The values of scripts that each robot set.
+    /// For each robot, the values of scripts that it set.
     pub sets: Vec<Vec<Logged>>,
-    /// The number of values that robots of other ids set at its address.
+    /// Number of values that robots with other ids set at the addresses of the mission's robots.
     pub strangers: usize,
-    /// The log of each process of each robot.
+    /// For each robot, the log of each of its processes.
     pub logs: Vec<Vec<Vec<LogEntry>>>,
     pub journal: Vec<(i64, Value)>,
     pub choreography: Choreography,
-    /// When the first command requested the default state.
+    /// Time of the first command that requested the default state, in nanoseconds; `None` if there was none.
     pub home_from: Option<i64>,
 }
 
-/// A running program. Only its owner reaps it, so its process id stays its own.
+/// A running program. Only this owner reaps the process, so the operating system does not reuse its id.
 struct Program {
     kind: Kind,
     began: i64,
@@ -110,11 +110,11 @@ impl Program {
     }
 }
 
-/// State that the threads of one mission share.
+/// The state that the threads of one mission share.
 struct Show<'a> {
     drawn: &'a Drawn,
     stage: Mutex<Stage>,
-    /// In the order of their starts.
+    /// The programs, in the order in which they were started.
     programs: Mutex<Vec<Program>>,
     struck: Mutex<Vec<Struck>>,
     home_from: Mutex<Option<i64>>,
@@ -193,7 +193,7 @@ fn compiled(stage: &Stage) -> Choreography {
 }
 
 impl Show<'_> {
-    /// Waits for a moment, and returns whether it occurs.
+    /// Waits for a moment; returns `false` if it does not occur.
     fn awaits(&self, when: When) -> bool {
         match when {
             When::After(after) => std::thread::sleep(after.saturating_sub(self.began.elapsed())),
@@ -205,7 +205,8 @@ impl Show<'_> {
         true
     }
 
-    /// Returns the start of an act, once that is promised.
+    /// Waits until the scheduler promises an act, and returns the act's start in nanoseconds. `None` if the mission ends without this
+    /// promise, or after `COMES`.
     fn start_of(&self, act: usize) -> Option<i64> {
         while self.began.elapsed() < COMES {
             let journal = journal(&self.state);
@@ -311,8 +312,8 @@ impl Show<'_> {
         self.note(Some(robot), What::Robot(fault), from, until);
     }
 
-    /// After all reports, ends the faults of robots that are cut off or frozen permanently: they continue with whatever is still
-    /// permitted.
+    /// Ends the permanent faults of links and of frozen robots, after all programs have reported. These robots then do whatever they are
+    /// still permitted to do.
     fn end_all_faults(&mut self) {
         let lasting = |struck: &Struck| match struck.what {
             What::Robot(fault) if struck.until == i64::MAX => Some((struck.robot?, fault)),
@@ -366,7 +367,7 @@ impl Show<'_> {
     }
 }
 
-/// Returns every record of the mission's journal, with its instant.
+/// Returns every record of the mission's journal with its time, in nanoseconds.
 fn journal(state: &Path) -> Vec<(i64, Value)> {
     let entries = std::fs::read_dir(state).into_iter().flatten().flatten();
     let texts = entries.filter_map(|entry| std::fs::read_to_string(entry.path().join("journal")).ok());

@@ -1,4 +1,4 @@
-//! `downbeat calibrate` with robots as processes, whose bodies follow with a known lag.
+//! Tests of `downbeat calibrate` with robots as processes, whose simulated bodies lag behind the commands by a known time.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -33,7 +33,7 @@ devices:
       script: {min_value: 0, max_value: 1, granularity: 0.01, max_number_of_steps: 100, control_types: [position]}
 ";
 
-/// A robot as a separate process, behind a proxy, with a body.
+/// A robot with a simulated body, as a separate process behind a proxy.
 struct Show {
     session: Session,
     robot: Child,
@@ -70,14 +70,14 @@ impl Show {
         command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 
-    /// Returns the log of the robot, without an incomplete last line.
+    /// Returns the complete lines of the robot's log.
     fn log(&self) -> Vec<Value> {
         let log = std::fs::read_to_string(self.session.path("log.jsonl")).unwrap_or_default();
         let whole = log.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
         whole.map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 
-    /// Returns the log of the robot half a second after its last command: an idle machine writes the log within 50 ms.
+    /// Waits for half a second, and returns the robot's log. An idle machine writes the log within 50 ms.
     fn settled_log(&self) -> Vec<Value> {
         std::thread::sleep(Duration::from_millis(500));
         self.log()
@@ -148,7 +148,7 @@ fn what_cannot_be_judged_is_refused_before_anything_moves() {
     elsewhere.has_not_moved();
 }
 
-/// Every twentieth reading fails.
+/// A driver program of which every twentieth reading fails.
 const FORGETFUL: &str = r#"
 value=0; count=0
 while read -r verb device control number rest; do

@@ -1,5 +1,5 @@
-//! Actuation latency: robots as processes whose own logs show that commands are sent before the motions, and an edge whose driver
-//! declares a latency.
+//! Actuation latency: the robots' own logs show that commands are sent earlier than the motions are due. One robot is an edge whose
+//! driver declares a latency.
 
 use stage::session::Session;
 use stage::{Stage, Via, one_device};
@@ -7,7 +7,7 @@ use stage::{Stage, Via, one_device};
 const PLAY: &str = "scenario: play\nstart_tolerance: 1s\ncues:\n  - {cue: up, at: 0s, robots: all, tracks: \
                     {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}\n";
 const LATENCY: i64 = 60_000_000;
-/// Maximum delay that a busy machine may add to an instant.
+/// Maximum delay that a busy machine may cause, in nanoseconds.
 const BUSY: i64 = 30_000_000;
 
 #[test]

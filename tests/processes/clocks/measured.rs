@@ -1,4 +1,4 @@
-//! The recording of a mission reproduces the network on which it was played.
+//! Checks that the recording of a mission reproduces the delays and clocks of the network on which it was played.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use stage::Via;
 use stage::play::CHAIN;
 use stage::session::Session;
 
-/// Returns two simulated arms, whose messages take 20 to 28 ms in each direction; one has no NTP.
+/// Records a mission of two simulated arms. Their messages take 20 to 28 ms in each direction, and the left arm has no NTP.
 fn recorded() -> Session {
     let session = Session::new();
     session.file(
@@ -37,7 +37,7 @@ fn ms(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// Checks a range. Busy machines make delays longer, never shorter.
+/// Checks that a value lies in a range. Busy machines make delays longer, never shorter.
 #[track_caller]
 fn between(value: &Value, least: f64, most: f64) {
     assert!((least..=most).contains(&ms(value)), "{value} is not from {least} to {most}");

@@ -1,4 +1,4 @@
-//! The server's time by NTP, against a small but real SNTP server with a known offset (RFC 5905, figure 8).
+//! Tests of the server's clock against NTP: a small SNTP server answers with a known offset (RFC 5905, figure 8).
 
 use std::net::UdpSocket;
 use std::time::{Duration, SystemTime};
@@ -16,7 +16,7 @@ fn ntp_now(offset: Duration) -> [u8; 8] {
     (((now.as_secs() + NTP_EPOCH_SECONDS) << 32) | fraction).to_be_bytes()
 }
 
-/// Answers every request until the tests end.
+/// Starts an SNTP server with this offset that answers every request until the tests end. Returns its address.
 fn serve(offset: Duration) -> String {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = socket.local_addr().unwrap().to_string();

@@ -1,4 +1,4 @@
-//! Real-time scheduling: used if it is permitted, reported if it is not, and nothing moves if it is required but not granted.
+//! Real-time scheduling: it is used if the system permits it. If not, this is reported; if it is required, nothing moves.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
@@ -12,7 +12,7 @@ start_tolerance: 1s
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 100ms, to: 0}]}}]
 ";
 
-/// The messages of a missing permission.
+/// Parts of the messages if the permission for real-time scheduling or locked memory is missing.
 const REFUSED: [&str; 5] = [
     "no real-time scheduling (Operation not permitted",
     "LimitRTPRIO=50",
@@ -31,7 +31,7 @@ fn session() -> Session {
     session
 }
 
-/// Returns the program without permission for real-time scheduling and locked memory, even if root runs the tests.
+/// Returns a command that runs the program without permission for real-time scheduling and locked memory, even if root runs the tests.
 fn without_permission(session: &Session, args: &[&str]) -> Command {
     let mut command = Command::new("prlimit");
     command.args(["--rtprio=0:0", "--memlock=65536:65536"]);
@@ -46,7 +46,7 @@ fn without_permission(session: &Session, args: &[&str]) -> Command {
     command
 }
 
-/// A listening robot; it ends when this is dropped.
+/// The process of a listening robot, which is killed when this is dropped.
 struct Robot {
     child: Child,
 }
@@ -60,7 +60,7 @@ impl Robot {
         Self { child }
     }
 
-    /// Returns the scheduling policy of the thread that wakes robots, as the kernel numbers it, and the locked memory in kB.
+    /// Returns the kernel's number of the scheduling policy of the thread that wakes robots, and the process's locked memory in kB.
     fn granted(&self) -> (u32, u64) {
         let of = |path: &str| std::fs::read_to_string(format!("/proc/{}/{path}", self.child.id())).unwrap();
         let locked = of("status");
@@ -76,7 +76,7 @@ impl Robot {
         (policy.unwrap(), locked)
     }
 
-    /// Ends it, as a service manager does; returns its standard error.
+    /// Terminates the robot as a service manager does, by SIGTERM, and returns its standard error output.
     fn said(mut self) -> String {
         rustix::process::kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
         let mut said = String::new();

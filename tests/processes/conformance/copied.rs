@@ -1,4 +1,4 @@
-//! Checks that the crates' examples to copy work: each is compiled here and run.
+//! Checks that the crates' examples, which users copy, work: each is compiled and run here.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -32,7 +32,7 @@ mod robot;
 #[path = "../../../scheduler/examples/scheduler.rs"]
 mod scheduler;
 
-/// Runs a server on a free port, on a thread that ends with the tests.
+/// Runs a server on a free port in a thread that ends with the test process. Returns the address.
 fn served<F: Future>(serve: impl FnOnce(TcpListener) -> F + Send + 'static) -> SocketAddr {
     let (tell, told) = mpsc::channel();
     std::thread::spawn(move || {
@@ -63,7 +63,7 @@ fn the_robot_to_copy_does_what_the_protocol_demands() {
     assert!(failed.is_empty(), "{failed:#?}");
 }
 
-/// Starts hardware that takes lines and records the values that are set.
+/// Starts simulated hardware that receives command lines. Returns its address, and a channel with the values that it was set to.
 fn hardware() -> (SocketAddr, mpsc::Receiver<(String, f64)>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();

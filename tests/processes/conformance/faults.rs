@@ -1,4 +1,4 @@
-//! Robots with one planted fault each, and exactly the requirements that this fault must break.
+//! Robots with one planted fault each, and for each fault exactly the requirements that it must break.
 
 mod asking;
 mod codes;
@@ -14,28 +14,28 @@ use serde_json::{Value, json};
 
 use super::proxy::{Fault, Memory, More, Passing, Serving, Then};
 
-/// A robot with a fault.
+/// A robot with one planted fault.
 pub struct Mutant {
     pub name: &'static str,
     pub robot: Robot,
     pub serving: Serving,
     pub fault: Fault,
-    /// Whether the leases are checked as well, which mostly means waiting.
+    /// Whether the requirements about leases are checked as well. They take long, because they mostly wait.
     pub waits: bool,
-    /// The requirements to check; empty: all except the heavy ones.
+    /// The requirements to check; if empty, all except those that are expensive or about leases.
     pub only: &'static [&'static str],
-    /// The requirements that must fail. If there are several, a comment next to them explains why.
+    /// The requirements that the robot must fail. If there are several, a comment next to them explains why.
     pub fails: &'static [&'static str],
 }
 
-/// The robot behind the fault.
+/// The correct robot to which the fault is added.
 #[derive(Clone, Copy)]
 pub enum Robot {
-    /// One linear device with scripts, two of them in its queue.
+    /// An arm: one linear device, which holds two scripts in its queue.
     Arm,
-    /// A driven wheel, and a sensor.
+    /// A rover: a driven wheel and a sensor.
     Rover,
-    /// The arm, with its clock two seconds ahead.
+    /// The arm, with a clock that is two seconds ahead.
     ClockAhead,
 }
 
@@ -86,7 +86,7 @@ fn malformed() -> Value {
     }})
 }
 
-/// Replaces one error code by another.
+/// Replaces the error code `code` in a response by `internal`.
 fn recode(passing: &mut Passing, code: &str) -> Then {
     for message in ["availability_response", "control_response"] {
         if let Some(said) = passing.json.pointer_mut(&format!("/{message}/error/code"))
@@ -98,13 +98,13 @@ fn recode(passing: &mut Passing, code: &str) -> Then {
     Then::Pass
 }
 
-/// Shifts a timestamp by milliseconds.
+/// Shifts a timestamp by this many milliseconds.
 fn shift(timestamp: &mut Value, by: i64) {
     let at: urrcp::Timestamp<urrcp::Robot> = serde_json::from_value(timestamp.clone()).unwrap();
     *timestamp = json!(at + urrcp::Span::from_millis(by));
 }
 
-/// Edits control requests on their way to the robot.
+/// Edits a control request on its way to the robot, and passes the line.
 fn edit(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(request) = passing.request() {
         edit(request);
@@ -112,7 +112,7 @@ fn edit(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Edits the robot's answers and reports.
+/// Edits a control response of the robot (an answer or a report), and passes the line.
 fn edit_response(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(response) = passing.response() {
         edit(response);
@@ -120,7 +120,7 @@ fn edit_response(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Edits the first device of the initialization block.
+/// Edits the first device of the initialization block, and passes the line.
 fn declare(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(device) = passing.json.pointer_mut("/initialization_block/devices/0") {
         edit(device);
@@ -128,18 +128,18 @@ fn declare(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Returns a request of the proxy itself; `unasked` recognises the answer.
+/// Returns an availability request that the proxy itself sends; `unasked` recognises the answer.
 fn presence(link: u64, after: Duration) -> More {
     More { after, link, line: json!({"availability_request": {}}) }
 }
 
-/// Whether this answers a request of the proxy.
+/// Whether this line answers a request that the proxy itself sent.
 fn unasked(passing: &Passing) -> bool {
     let response = passing.json.get("availability_response");
     response.is_some_and(|r| r.get("originate_timestamp").is_none() && r["status"] == "OK")
 }
 
-/// Replaces `text` by `to` in every line from the server that contains it.
+/// Replaces `text` by `to` if the line comes from the server and contains `text`, and passes the line.
 fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
     if passing.is_from_server(text) {
         Then::Instead(String::from_utf8_lossy(&passing.raw).replace(text, to).into_bytes())
@@ -148,7 +148,7 @@ fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
     }
 }
 
-/// Returns all mutants.
+/// Returns all mutants: the robots with one planted fault each.
 pub fn all() -> Vec<Mutant> {
     let waiting = [
         commands::of_times(),

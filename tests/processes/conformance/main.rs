@@ -58,7 +58,7 @@ devices:
       sensor: {min_value: 0.02, max_value: 4, max_error: 0.01, max_delay: 50}
 ";
 
-/// A device that is only set, with limits off its grid.
+/// The description of a robot without scripts and reports; the limits of its brightness are not multiples of the granularity.
 const LAMP: &str = "id: lamp
 api_version: '1'
 devices:
@@ -72,7 +72,8 @@ devices:
       position: {min_value: 0.03, max_value: 0.97, granularity: 0.05}
 ";
 
-/// These move megabytes or wait for long; they are checked only for robots that must fail them.
+/// The expensive requirements, whose checks transfer megabytes or wait for a long time. Only robots that must fail them are checked for
+/// them.
 const HEAVY: [&str; 5] = ["huge-line", "slow-reader", "deep-nesting", "session-silence", "silent-peers"];
 
 fn options(only: &[&str]) -> Options {
@@ -88,7 +89,7 @@ fn examined(address: SocketAddr, options: Options) -> Examined {
     examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap()
 }
 
-/// Examines a correct robot, and repeats the examination if this machine stalled.
+/// Examines a correct robot. Repeats the examination if it found a failure while this machine stalled.
 fn examined_undisturbed(robot: impl Fn() -> SocketAddr, options: Options) -> Examined {
     undisturbed(|| examined(robot(), options.clone()), |examined| told(examined, Verdict::Fail).is_empty())
 }
@@ -166,7 +167,7 @@ fn ahead() -> Settings {
     Settings { clock_offset: Span::from_millis(2_000), ntp_error: None, ..Settings::default() }
 }
 
-/// Returns the requirements that a robot with this fault fails, and the messages about them.
+/// Returns the requirements that a robot with this planted fault fails, and the messages about these failures.
 fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
     let robot = match mutant.robot {
         Robot::Arm => proxy::robot(ARM, Settings::default()),
@@ -185,7 +186,7 @@ fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
     (failed.map(|judged| judged.requirement).collect(), told(&examined, Verdict::Fail))
 }
 
-/// Number of robots that are examined at a time: nearly all of the time is waiting.
+/// Number of robots that are examined at the same time. Nearly all of the time is waiting.
 const AT_A_TIME: usize = 8;
 
 #[test]

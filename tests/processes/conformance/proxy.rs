@@ -1,4 +1,4 @@
-//! A simulated robot behind a proxy that plants one fault.
+//! A simulated robot behind a proxy, which plants one fault in its messages or connections.
 
 use std::collections::{HashMap, HashSet};
 use std::io::{Read, Write};
@@ -11,31 +11,31 @@ use downbeat_robot::simulated::{Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostOptions, serve};
 use serde_json::Value;
 
-/// Direction of a line.
+/// The direction of a line through the proxy.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     ToRobot,
     ToServer,
 }
 
-/// A line on its way through the proxy.
+/// A line of the protocol on its way through the proxy.
 pub struct Passing {
     pub way: Way,
-    /// Number of the connection, from 1.
+    /// Number of the connection on which the line arrived, from 1.
     pub link: u64,
     pub raw: Vec<u8>,
-    /// Null if the line is not JSON. If a fault changes it, it is sent instead of the line.
+    /// The line as JSON; null if it is not JSON. If a fault changes this value, the changed value is sent instead of the line.
     pub json: Value,
 }
 
 impl Passing {
-    /// Returns the content of a control request on its way to the robot.
+    /// Returns the content of the line, if it is a control request on its way to the robot.
     pub fn request(&mut self) -> Option<&mut Value> {
         let request = (self.way == Way::ToRobot).then(|| self.json.get_mut("control_request")).flatten();
         request.filter(|request| request.is_object())
     }
 
-    /// Returns the content of a control response.
+    /// Returns the content of the line, if it is a control response.
     pub fn response(&mut self) -> Option<&mut Value> {
         self.json.get_mut("control_response")
     }
@@ -45,18 +45,18 @@ impl Passing {
     }
 }
 
-/// What to do with a line.
+/// What the proxy does with a line.
 pub enum Then {
     Pass,
     Drop,
-    /// Sent back to the sender, instead of passing the line.
+    /// Sends this value back to the sender, and does not pass the line.
     Answer(Value),
-    /// Passed in place of the line.
+    /// Passes these bytes in place of the line.
     Instead(Vec<u8>),
     After(Duration),
-    /// Passed, together with more lines.
+    /// Passes the line, and sends further lines.
     With(Vec<More>),
-    /// Passed in the same direction on another connection.
+    /// Passes the line in the same direction on the connection with this number.
     On(u64),
     HangUp,
 }
@@ -64,42 +64,42 @@ pub enum Then {
 /// A line that the proxy itself sends to the robot.
 pub struct More {
     pub after: Duration,
-    /// Number of the connection.
+    /// Number of the connection on which the line is sent.
     pub link: u64,
     pub line: Value,
 }
 
-/// The state of a fault.
+/// What a planted fault remembers about earlier lines.
 #[derive(Default)]
 pub struct Memory {
     pub seen: HashSet<(u64, String)>,
     pub count: HashMap<u64, usize>,
     pub running: bool,
-    /// Names in the order of their arrival.
+    /// Ids of requests, devices or sessions (depending on the fault), in the order of their arrival.
     pub order: Vec<String>,
-    /// The connection on which a name was last received, and the time.
+    /// For each session name or request id, the connection on which it was last received, and the time.
     pub heard: HashMap<String, (u64, Instant)>,
 }
 
 pub type Fault = fn(&mut Memory, &mut Passing) -> Then;
 
-/// How the proxy itself serves.
+/// How the proxy serves its connections.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Serving {
     All,
-    /// One connection at a time.
+    /// Serves one connection at a time.
     OneByOne,
-    /// This number of connections, then none.
+    /// Serves this number of connections in total, and none after them.
     AtMost(u64),
-    /// This number of connections at the same time, until their peers close them.
+    /// Serves at most this number of connections at the same time, each until its peer closes it. Closes further ones.
     AtATime(usize),
-    /// Each received piece is treated as a line.
+    /// Treats each received piece of data as a complete line.
     WithoutBuffer,
-    /// While one peer does not read, no other is served.
+    /// Serves no other peer while one peer does not read.
     UnderOneLock,
 }
 
-/// Starts a simulated robot on a socket of its own; it lives as long as the process.
+/// Starts a simulated robot on a socket of its own and returns the address. The robot lives as long as the process.
 pub fn robot(yaml: &str, settings: Settings) -> SocketAddr {
     static RUNTIME: OnceLock<tokio::runtime::Runtime> = OnceLock::new();
     let runtime = RUNTIME.get_or_init(|| {
@@ -118,7 +118,7 @@ pub fn robot(yaml: &str, settings: Settings) -> SocketAddr {
     })
 }
 
-/// The same behind a fault.
+/// Starts a proxy with a planted fault in front of a robot. Returns the address of the proxy.
 pub fn faulty(robot: SocketAddr, serving: Serving, fault: Fault) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -158,15 +158,15 @@ struct Carrier {
     lock: Option<Arc<Mutex<()>>>,
 }
 
-/// Prefix of the line in which a key appears twice.
+/// Beginning of the line in which the conformance test sends the same key twice.
 pub const TWICE: &str = "{\"control_request\":{\"control_value\":0,";
 
 type Writer = Arc<Mutex<TcpStream>>;
-/// By connection: the writers to the robot and to the server.
+/// For each connection, the writers to the robot and to the server.
 type Links = Arc<Mutex<HashMap<u64, (Writer, Writer)>>>;
 
 impl Carrier {
-    /// Ends when both directions have ended.
+    /// Starts to carry lines in both directions. The returned thread ends when both directions have ended.
     fn start(self, server: TcpStream, robot: SocketAddr) -> std::thread::JoinHandle<()> {
         let robot = TcpStream::connect(robot).unwrap();
         server.set_nodelay(true).unwrap();

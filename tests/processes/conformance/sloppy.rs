@@ -1,4 +1,5 @@
-//! The door of a robot with a shared secret that is correct except for one fault, and the findings of the conformance test about it.
+//! A robot whose door (the proxy that authenticates peers by a shared secret) is correct except for one fault. The conformance test has
+//! to find this fault.
 
 use std::collections::HashSet;
 use std::io::{Read, Write};
@@ -19,31 +20,31 @@ use urrcp::{InitializationBlock, Span};
 
 use stage::session::{ARM, Session};
 
-/// The fault of the door.
+/// A fault of the door, which authenticates the peers of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,
-    /// Plain messages pass.
+    /// The door passes plain messages (without authentication).
     Plain,
-    /// Silent peers are not disconnected.
+    /// The door does not disconnect silent peers.
     Patient,
-    /// Codes of records are not checked.
+    /// The door does not check the authentication codes of records.
     AnyRecord,
-    /// The operator's proof is not checked.
+    /// The door does not check the operator's proof.
     AnyProof,
-    /// The expiry of a claim is not checked.
+    /// The door does not check whether a claim has expired.
     Expired,
-    /// The intended robot is not checked.
+    /// The door does not check whether a peer intends to reach this robot.
     AnyRobot,
-    /// One pass is valid for all claims.
+    /// The door accepts one pass for all claims.
     OnePass,
-    /// Its random number is the same each time.
+    /// The door sends the same random number on every connection.
     OneNumber,
-    /// Roles are not passed on to the robot.
+    /// The door does not pass roles on to the robot.
     NoRoles,
 }
 
-/// A connection of the door, with its settings.
+/// The door in front of a robot, which authenticates its peers: its fault and its settings.
 #[derive(Clone)]
 struct Door {
     fault: Fault,
@@ -176,7 +177,7 @@ fn plain_robot() -> SocketAddr {
     told.recv().unwrap()
 }
 
-/// The requirements that only a door can fail.
+/// The requirements about proofs of identity, which only a robot with a door can fail.
 pub const OF_PROOFS: [&str; 10] = [
     "no-plain",
     "proven-in-time",
@@ -190,7 +191,7 @@ pub const OF_PROOFS: [&str; 10] = [
     "repeated-connection",
 ];
 
-/// Returns the requirements that a door with this fault fails.
+/// Returns the requirements that a robot fails if its door (the proxy that authenticates peers) has this fault.
 fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
     let secret = Secret::read(&session.path("keys/secrets/arm.secret")).unwrap();
     let site = Site::of_files(Some(&session.path("keys/operators/anna.pem")), None).unwrap();

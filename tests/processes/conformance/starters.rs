@@ -1,4 +1,5 @@
-//! The robots to copy: their limits on strangers that send nothing or half a message, places for the owner, and a mission.
+//! The example robots that users copy: their limits for strangers that send nothing or half a message, reserved places for the owner, and
+//! a mission.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -12,7 +13,7 @@ use stage::site::listens;
 const HALF: &str = "{\"availability_request\":{\"session\"";
 const REST: &str = ":\"show\"}}\n";
 
-/// A peer of the robot.
+/// A peer that is connected to the robot.
 struct Peer(TcpStream);
 
 impl Peer {
@@ -35,7 +36,7 @@ impl Peer {
         self
     }
 
-    /// Waits until the robot disconnects, and returns the time.
+    /// Waits until the robot disconnects, and returns when that happens.
     fn ended(mut self) -> Instant {
         loop {
             match self.0.read(&mut [0; 4096]) {
@@ -86,7 +87,7 @@ fn python() -> Command {
     python
 }
 
-/// Both devices hold. Their second script begins when the first one ends, and starts with its first value 500 ms later.
+/// Both devices hold their values. Their second script begins when the first one ends, but its first value is due 500 ms later.
 #[test]
 fn the_robot_to_copy_in_python_starts_with_one_of_downbeats_own_if_first_values_come_later() {
     const DEVICES: &str = "

@@ -1,4 +1,4 @@
-//! The descriptions of robots behind an edge, from the robots and from files.
+//! Descriptions of robots behind an edge, which come from the robots themselves or from files.
 
 use downbeat_robot::driver::{Driver, DriverError, ThriftRobot};
 use urrcp::{ControlType, DeviceId, Setpoint};

@@ -1,4 +1,4 @@
-//! Hardware that fails while a start is near, and the edge's reports about it.
+//! Hardware that fails shortly before a start, and the edge's reports about the failure.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Programs that time scripts by themselves: their own logs, compared with the reports.
+//! Driver programs that time scripts by themselves: compares their own logs with the reports.
 
 use std::time::Duration;
 
@@ -10,8 +10,8 @@ use super::{LEAD, await_that, session};
 use stage::session::{Ran, Session};
 use stage::signal;
 
-/// Logs each value with the time at which it is set, in nanoseconds. 66 makes it fail, 77 ends the program. In the mode `mute` it sends
-/// no reports about its plans.
+/// A driver that logs each value with the time at which it is set, in nanoseconds. The value 66 makes it fail, and 77 ends it. In the
+/// mode `mute` it sends no reports about its plans.
 const AHEAD: &str = r#"
 import os, sys, time
 from downbeat_driver import Driver
@@ -69,13 +69,13 @@ class Ahead(Driver):
 Ahead().run()
 "#;
 
-/// An edge with the program in a mode, a fleet with it, and the program's log so far.
+/// A session, and in it an edge whose driver is the program `AHEAD` in one of its modes.
 struct Rig {
     session: Session,
     edge: Edge,
 }
 
-/// A line of the program's log: nanoseconds, and the event.
+/// A line of the program's log: time in nanoseconds, and event.
 type Line = (i64, String);
 
 impl Rig {
@@ -111,7 +111,7 @@ impl Rig {
         self.of(false)
     }
 
-    /// Returns the values that were set.
+    /// Returns the values that the program has set, as `device value`.
     fn played(&self) -> Vec<String> {
         self.sets().into_iter().map(|(_, what)| what).collect()
     }
@@ -128,7 +128,7 @@ impl Rig {
         self.session.file("play.yaml", scenario);
     }
 
-    /// Plays for a long time, and calls `what` after the third value; returns the output of the mission.
+    /// Plays a show of a minute, which must fail, and calls `what` after the third value. Returns the output of the mission.
     fn meanwhile(&mut self, what: impl FnOnce(&mut Self)) -> String {
         let steps: Vec<_> = (0..60).map(|i| format!("{{at: {}s, to: {}}}", i, i + 1)).collect();
         self.scenario(&steps.join(", "), "{at: 0s, to: 5}");

@@ -1,7 +1,7 @@
-//! Edges with real hardware behind them: Thrift robots and programs, driven, broken and restarted.
+//! Edges that drive real hardware: Thrift robots and programs, which the tests drive, break and restart.
 //!
 //! The Thrift robot is `tests/processes/thrift/server.py` if `DOWNBEAT_PYTHON` names a Python with the package thriftpy2, otherwise the
-//! one of `thrift_robot`.
+//! robot of `thrift_robot`.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -21,7 +21,7 @@ use stage::session::Session;
 
 const TANK: &str = include_str!("../thrift/tank.json");
 
-/// Returns the set values, as `device value`, without their times. An incomplete last line is skipped.
+/// Returns the values that a log contains, as `device value`, without their times. An incomplete last line is skipped.
 fn sets(session: &Session, log: &str) -> Vec<String> {
     let text = std::fs::read_to_string(session.path(log)).unwrap_or_default();
     let whole = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
@@ -33,7 +33,7 @@ fn of(device: &str, sets: &[String]) -> Vec<f64> {
     values.map(|value| value.trim().parse().unwrap()).collect()
 }
 
-/// Waits for a condition of other processes, at most a minute, for busy machines.
+/// Waits until a condition holds that other processes fulfil. Panics after a minute, which suffices for a busy machine.
 #[track_caller]
 fn await_that(what: &str, holds: impl Fn() -> bool) {
     let begin = Instant::now();
@@ -43,7 +43,7 @@ fn await_that(what: &str, holds: impl Fn() -> bool) {
     }
 }
 
-/// Sufficient for a busy machine.
+/// Lead (the time between the requests and the start) that suffices for a busy machine.
 const LEAD: &str = "3s";
 
 const SCENARIO: &str = "scenario: tanks

@@ -1,4 +1,4 @@
-//! Thrift robots and edges as processes.
+//! Starts and ends Thrift robots and edges, each as a process of its own.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
@@ -13,19 +13,20 @@ use stage::session::{Session, root};
 use stage::thrift_robot;
 use stage::{ended_by_a_hang_up, signal};
 
-/// A Thrift robot of either kind; it ends when this is dropped.
+/// A Thrift robot, written in Python or in Rust; it ends when this is dropped.
 pub enum Tank {
     Python(Child),
     Rust(thrift_robot::ThriftRobot),
 }
 
 impl Tank {
-    /// Logs to a file of the session. Port 0 takes any free one.
+    /// Starts a robot with the id `tank-1` that logs to a file of the session. Port 0 stands for any free port. Returns the robot and its
+    /// port.
     pub fn start(session: &Session, log: &str, port: u16) -> (Self, u16) {
         Self::start_as("tank-1", session, log, port)
     }
 
-    /// The same with an id of its own.
+    /// Starts a robot with this id, otherwise like [`Self::start`].
     pub fn start_as(id: &str, session: &Session, log: &str, port: u16) -> (Self, u16) {
         let log = session.path(log);
         let tank = TANK.replace("\"tank-1\"", &format!("\"{id}\""));
@@ -49,7 +50,7 @@ impl Tank {
 }
 
 impl Tank {
-    /// Keeps its connection and does nothing more.
+    /// Freezes the robot: it keeps its connection and does nothing more.
     pub fn freeze(&self) {
         match self {
             Self::Python(child) => signal(child, Signal::STOP),
@@ -78,7 +79,7 @@ pub fn end(child: &mut Child) {
     let _reaped = child.wait();
 }
 
-/// An edge as a process, which ends when this is dropped.
+/// The process of an edge, which is killed when this is dropped, and its port.
 pub struct Edge(pub Child, pub u16);
 
 impl Edge {
@@ -86,7 +87,7 @@ impl Edge {
         Self::start_with(session, init, driver, &[])
     }
 
-    /// The same with further arguments.
+    /// Starts an edge with further arguments.
     pub fn start_with(session: &Session, init: &str, driver: &str, args: &[&str]) -> Self {
         let mut command = ended_by_a_hang_up();
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
@@ -100,7 +101,7 @@ impl Edge {
         Self(child, port)
     }
 
-    /// Waits until its hardware has answered.
+    /// Waits until the edge's hardware has answered.
     #[track_caller]
     pub fn await_hardware(&self) {
         await_that("an answer of the hardware", || {
@@ -108,12 +109,12 @@ impl Edge {
         });
     }
 
-    /// Terminates it as the service manager does, and checks that it succeeds without output.
+    /// Terminates the edge as a service manager does, by SIGTERM. Checks that the exit code is 0 and that nothing is printed.
     pub fn terminate(self) {
         assert_eq!(self.end(), (Some(0), String::new()));
     }
 
-    /// Returns its exit code and its output.
+    /// Terminates the edge by SIGTERM, and returns its exit code and its output.
     pub fn end(self) -> (Option<i32>, String) {
         self.ends_by(Signal::TERM)
     }

@@ -1,4 +1,4 @@
-//! Programs as drivers.
+//! Edges whose drivers are programs.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -120,7 +120,8 @@ fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_ano
     assert!(after.contains("hello\n") && !after.contains("set"), "it was moved: {after}");
 }
 
-/// A program drives a wheel, and the edge is sent these signals, one after another. Returns the input of the program.
+/// Lets a program drive a wheel, and sends these signals to the edge, one after another. Returns the edge's exit code and the input of
+/// the program.
 fn driven_until(signals: &[Signal]) -> (Option<i32>, String) {
     let session = Session::new();
     session.file("drive.sh", DRIVE).file("wheel.yaml", WHEEL);
@@ -175,7 +176,7 @@ fn signals_that_ask_for_nothing_do_not_end_an_edge() {
     assert_eq!(code, Some(0));
 }
 
-/// Returns a Python with the driver package on its path; `None` if Python is missing: these tests then use only Rust.
+/// Returns a shell command for Python, with the driver package on its path. `None` if Python is missing; these tests then use only Rust.
 pub fn python() -> Option<String> {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     Command::new(&python).arg("--version").output().ok()?;
@@ -211,7 +212,7 @@ fn the_python_package_for_drivers_passes_its_own_tests() {
     assert!(ran.status.success() && said.contains("OK"), "{said}");
 }
 
-/// Reports its latency and a reading, takes frames, and fails on the value 66.
+/// A driver that reports its latency and a reading, takes frames (the values of several devices), and fails on the value 66.
 const SECOND: &str = r#"
 import sys, threading, time
 from downbeat_driver import Driver
@@ -293,7 +294,7 @@ fn a_program_that_declares_what_it_cannot_is_told_what_is_wrong() {
     assert!(warning.is_some(), "the edge ended without the warning");
 }
 
-/// Stops answering after the value 66, and refuses the value 55.
+/// A driver that stops answering after the value 66, and refuses the value 55.
 const MOODY: &str = r#"while read -r verb device control value; do
     case "$value" in
         66) sleep 60 ;;
@@ -303,7 +304,8 @@ const MOODY: &str = r#"while read -r verb device control value; do
 done
 "#;
 
-/// Plays one value on `left`, the last one of its script, with the program `MOODY`. Returns the outputs of the mission and of the edge.
+/// Plays a script on `left` that ends with `value`; the driver is the program `MOODY`. Returns the result of the mission and the edge's
+/// output.
 fn one_value(value: i32) -> (Ran, String) {
     let session = session();
     session.file("moody.sh", MOODY);
@@ -340,7 +342,7 @@ fn a_value_that_a_program_refuses_reads_as_refused() {
     assert!(said.contains(&format!("tank-1: {refused}")), "{said}");
 }
 
-/// Hardware that takes longer to start than a program may take by default, 10 s.
+/// A driver that takes 11 s to start, longer than the default limit of 10 s.
 const SLOW: &str = r#"
 import sys, time
 from downbeat_driver import Driver
@@ -357,7 +359,7 @@ class Slow(Driver):
 Slow().run()
 "#;
 
-/// Returns a fleet of one robot behind a program that starts slowly.
+/// Returns a session with a fleet of one robot, whose driver starts slowly.
 fn slow(python: &str) -> Session {
     let session = session();
     session.file("slow.py", SLOW);

@@ -1,4 +1,4 @@
-//! A server with one edge.
+//! A server that controls one edge.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Write};
@@ -16,9 +16,9 @@ use super::processes::Edge;
 /// A server that sends messages to one edge, without clock synchronization.
 pub struct Server {
     edge: BufReader<TcpStream>,
-    /// Responses about the script that arrived during a wait for other messages.
+    /// Responses about the script that arrived while the server waited for other messages.
     said: VecDeque<ControlResponse>,
-    /// When the script of this server starts.
+    /// Planned start of the script.
     start: SystemTime,
 }
 
@@ -41,7 +41,7 @@ impl Server {
         serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: `{line}`"))
     }
 
-    /// Returns the edge's next response about the script.
+    /// Returns the next response of the edge about the script, and waits for it if necessary.
     pub fn response(&mut self) -> ControlResponse {
         if let Some(said) = self.said.pop_front() {
             return said;
@@ -63,7 +63,8 @@ impl Server {
         }
     }
 
-    /// Sends a script for `left`: these values at these milliseconds, with a start in `lead` milliseconds.
+    /// Sends a script for `left` that starts in `lead` milliseconds. `steps` contains the offset of each step in milliseconds, and its
+    /// value.
     pub fn script(&mut self, lead: u64, steps: &[(f64, f64)]) {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: Millis::new(*millis).unwrap(),
@@ -82,13 +83,13 @@ impl Server {
         assert_eq!(self.response().status, Status::Accepted);
     }
 
-    /// Sleeps until this long before the start.
+    /// Sleeps until this many milliseconds before the start of the script.
     pub fn await_start_less(&self, millis: u64) {
         let at = self.start - Duration::from_millis(millis);
         std::thread::sleep(at.duration_since(SystemTime::now()).unwrap_or_default());
     }
 
-    /// Returns the error of the script, which must fail without a start.
+    /// Waits until the script fails without having started, and returns its error.
     pub fn fails_unstarted(&mut self) -> ControlError {
         let failed = self.response();
         assert_eq!(failed.status, Status::Failed, "{failed:?}");

@@ -1,11 +1,11 @@
-//! The mission prepares an act again if this machine was too slow to start it.
+//! Acts that the mission prepares again because this machine was too slow to start them.
 
 use rustix::process::Signal;
 
 use stage::play::{CHAIN, Play, SHORT};
 use stage::{Running, Stage, Via, sleep_until};
 
-/// Stalls the scheduler over the commitment of the act that it prepares next.
+/// Suspends the scheduler while it should commit the next act (the step that makes its start final).
 fn stalls(running: &mut Running) {
     let start = running.start();
     sleep_until(start - 250_000_000);
@@ -53,7 +53,7 @@ fn robots_that_are_sent_home_while_an_act_is_prepared_again_are_reported_as_thei
     }
 }
 
-/// Returns a stage with two acts of three seconds that follow each other at once.
+/// Returns a stage with two acts of three seconds each, without a pause between them.
 fn two_acts() -> Stage {
     let stage = Play { script: 20, ..CHAIN }.stage(&[Via::Direct; 3]);
     let track = |from: u32| {

@@ -1,14 +1,15 @@
-//! A robot's claims are compared with what is possible: none of these lies ends in `done`.
+//! Robots that report something impossible: the mission compares a robot's claims with what is possible, and none of these lies ends in
+//! `done`.
 
 use serde_json::{Value, json};
 
 use stage::play::{LONG, Play};
 use stage::{Ended, Stage, Via};
 
-/// Ten steps, one every 100 ms, with a tolerance of 100 ms.
+/// A script of ten steps, one every 100 ms, with a start tolerance of 100 ms.
 const PLAY: Play = Play { steps: 10, tolerance: "100ms", ..LONG };
 
-/// Plays on two robots, the first of which reports something else than it does.
+/// Plays a show on two robots. `lie` falsifies the messages of the first one, so that it reports something other than it does.
 fn played(lie: fn(&mut Value)) -> (Stage, Ended) {
     let stage = PLAY.stage(&[Via::Proxy, Via::Direct]);
     stage.robots[0].link.as_ref().unwrap().rewrite(lie);
@@ -24,7 +25,7 @@ fn response(message: &mut Value) -> Option<&mut Value> {
     message.get_mut("control_response")
 }
 
-/// Delays the reported event time of a response.
+/// Adds `millis` to the event time in a response.
 fn later(response: &mut Value, millis: i64) {
     let Some(at) = response["event_timestamp"].as_str().map(stage::nanos) else { return };
     let at = urrcp::Timestamp::<urrcp::Robot>::from_nanos(at + millis * 1_000_000);
@@ -99,7 +100,7 @@ fn nothing_has_started_a_minute_ago_or_in_a_minute() {
     claims(lie, "ahead", ("device", json!("d")));
 }
 
-/// Both robots report it: the starts are simultaneous, but not when they were planned.
+/// Both robots report starts 344 ms late: these starts are simultaneous, but not when they were planned.
 #[test]
 fn starts_that_are_off_their_plan_are_out_of_tolerance_even_together() {
     let stage = PLAY.stage(&[Via::Proxy, Via::Proxy]);

@@ -1,4 +1,4 @@
-//! The fate of acts that wait: the report names every act of the scenario, and a skipped act is no success.
+//! Acts that wait, and what becomes of them: the report names every act of the scenario, and a mission with a skipped act is no success.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -11,7 +11,7 @@ const RANGE: &str = "  - id: range
       sensor: {min_value: 0, max_value: 4}
 ";
 
-/// Plays three acts, the second of which waits for this.
+/// Plays three acts. The second act has the condition `wait`.
 fn played(wait: &str) -> (Stage, Ended) {
     let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
     let mut stage = Stage::new();

@@ -18,7 +18,7 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}, {at: 600ms, to: 45}]
 ";
 
-/// A simulated robot in a process of its own, which ends when this is dropped.
+/// A simulated robot in a process of its own, which is killed when this is dropped.
 struct Robot {
     process: Child,
     port: u16,
@@ -44,7 +44,7 @@ impl Drop for Robot {
     }
 }
 
-/// The bytes that passed a relay, in each direction.
+/// The bytes that passed through a relay between server and robot, in each direction.
 #[derive(Clone, Default)]
 struct Overheard {
     to_robot: Arc<Mutex<Vec<u8>>>,
@@ -60,8 +60,8 @@ impl Overheard {
     }
 }
 
-/// Listens instead of a robot and forwards the bytes; those from the robot are changed. The threads end with the connection, the first
-/// with the process.
+/// Starts a relay in front of a robot's port. The relay forwards all bytes, and applies `change` to those from the robot. Returns its
+/// port. The threads of a connection end with the connection, and the thread that accepts connections ends with the process.
 fn relay(robot: u16, change: fn(Vec<u8>) -> Vec<u8>) -> (u16, Overheard) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -92,7 +92,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, heard: &Mutex<Vec<u8>>, change:
     let _closed_already = to.shutdown(std::net::Shutdown::Both);
 }
 
-/// Writes a fleet of these ports: two robots that receive MessagePack.
+/// Writes a fleet of two robots at these ports, which receive MessagePack.
 fn fleet(session: &Session, handshake: &str, ports: [u16; 2]) {
     let robot = |(id, port)| {
         format!("  r{id}: {{init: arm.yaml, address: 'tcp://127.0.0.1:{port}', encoding: msgpack}}\n")

@@ -1,6 +1,6 @@
-//! Two robots with hundreds of devices and megabytes of scripts: the questions before the start do not grow with the scripts.
+//! Two robots with hundreds of devices and megabytes of scripts: the inquiries before the start do not grow with the scripts.
 //!
-//! `DOWNBEAT_LARGE_SHOWS=20` sets the number of repetitions, while every core is kept busy.
+//! If `DOWNBEAT_LARGE_SHOWS=20` is set, the show is played 20 times while every core is kept busy.
 #![expect(clippy::print_stdout, reason = "a test may print")]
 
 use stage::busy::with_cores_busy;
@@ -24,7 +24,7 @@ fn init() -> String {
     format!("id: robot\napi_version: '1'\nreports: true\ninquiry: true\ndevices:\n{devices}")
 }
 
-/// Every device takes every step.
+/// Returns a scenario in which every device takes every step.
 fn scenario() -> String {
     let keyframe = |step: usize| format!("{{at: {}ms, to: {}}}", step * 20, 1 + (step * 37) % 89);
     let track = (0..STEPS).map(keyframe).collect::<Vec<_>>().join(", ");

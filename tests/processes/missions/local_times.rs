@@ -1,4 +1,4 @@
-//! Times of day across a change of the clocks. Each time zone changes its clocks near the present.
+//! Times of day while clocks change to or from daylight saving time. Each test uses a time zone whose clocks change close to now.
 
 use chrono::{DateTime, Datelike, SubsecRound, TimeDelta, Timelike, Utc};
 use stage::held_up;
@@ -12,7 +12,7 @@ enum Clocks {
     GoBack,
 }
 
-/// Returns a time zone, in POSIX form, whose clocks show UTC or one hour more, and change at this instant.
+/// Returns a time zone, in POSIX form. Its clocks show UTC or one hour more, and change at the instant `at`.
 fn zone(clocks: Clocks, at: DateTime<Utc>) -> String {
     let rule = |local: DateTime<Utc>| format!("{}/{}", local.ordinal0(), local.format("%H:%M:%S"));
     let months = TimeDelta::days(120);

@@ -1,4 +1,4 @@
-//! Missions as people run them: several acts, other terminals, crashes.
+//! Missions in everyday use: several acts, commands from other terminals, and crashes.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -34,12 +34,12 @@ pub fn evening(wait: &str) -> Session {
     session
 }
 
-/// Starts a mission and waits until it prints this text.
+/// Starts a mission, and waits until it prints the text `says`.
 fn start(session: &Session, args: &[&str], says: &str) -> Process {
     start_command(session.command(args), says).0
 }
 
-/// Starts a command and waits until it prints this text. Returns everything that it has printed until then.
+/// Starts a command, and waits until it prints the text `says`. Returns everything that it has printed until then.
 pub fn start_command(mut command: Command, says: &str) -> (Process, String) {
     let mut child = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(child.0.stderr.take().unwrap());
@@ -201,7 +201,7 @@ pub fn on_tcp(session: &Session) -> Process {
     sim
 }
 
-/// Waits until each robot that logs to one of these files has set a value of its script.
+/// Waits until both robots have set a value of a script, according to these log files.
 #[track_caller]
 fn await_moves(session: &Session, logs: &[&str]) {
     let text = |log: &&str| std::fs::read_to_string(session.path(log)).unwrap_or_default();
@@ -351,7 +351,7 @@ fn a_late_joiner_that_would_jump_is_left_out_and_does_not_move() {
     assert_eq!(std::fs::read_to_string(session.path("right.jsonl")).unwrap(), "");
 }
 
-/// Plays the evening, and starts the robot `right` before the finale.
+/// Plays the scenario `evening`. Its robot `right` is missing, and is started only before the last act.
 fn joins_late(session: &Session, init: &str, port: u16) -> Ran {
     let args = ["run", "evening.yaml", "--join", "next_act", "--format", "text"];
     let told = session.path("told");

@@ -1,4 +1,4 @@
-//! The output of `preflight` and `fleet ping` before a show: readings, clocks and hardware, each in its place.
+//! The output of `preflight` and `fleet ping` before a show: readings, clocks and hardware.
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,8 @@ const SCENARIO: &str = "scenario: test
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 1s, to: 0}]}}]
 ";
 
-/// Returns a session whose arm can report its position, and has two further sensors.
+/// Returns a session with two arms that can report their position and have two further sensors. `left` and `right` are the arms' keys in
+/// the fleet file.
 fn session(left: &str, right: &str) -> Session {
     let session = Session::new();
     let arm = ARM.replace("      script:", "      sensor: {min_value: 0, max_value: 90}\n      script:")
@@ -25,7 +26,7 @@ fn session(left: &str, right: &str) -> Session {
 const SIM: &str = "address: sim";
 const A_MINUTE_AHEAD: &str = "address: sim, simulate: {clock_offset: 60s, ntp_error: none}";
 
-/// Returns the result of a check of a robot.
+/// Returns the result of one check of a robot, from the JSON output of `preflight`.
 fn verdict(ran: &Ran, robot: &str, check: &str) -> Value {
     let report = ran.json();
     let rows = report["preflight"]["rows"].as_array().unwrap();

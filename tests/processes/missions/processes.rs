@@ -1,4 +1,4 @@
-//! Missions with robots and scheduler as real processes on TCP: all of them start, or none does.
+//! Missions with robots and scheduler as real processes over TCP: all robots start, or none does.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
@@ -20,14 +20,14 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}, {at: 600ms, to: 45}]
 ";
 
-/// Six robots, each a process; they end when this is dropped.
+/// Six robots, each in a process of its own; they end when this is dropped.
 struct Fleet {
     session: Session,
     robots: Vec<Child>,
 }
 
 impl Fleet {
-    /// Robot 3 gets the extra arguments.
+    /// Starts the robots. `third` contains additional arguments for the robot `r3`.
     fn start(third: &[&str]) -> Self {
         let session = Session::new();
         session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
@@ -65,12 +65,12 @@ impl Fleet {
         line.trim().rsplit(':').next().unwrap().parse().unwrap_or_else(|_| panic!("no port in `{line}`"))
     }
 
-    /// Returns the log of a robot so far.
+    /// Returns what a robot has logged so far.
     fn log(&self, id: usize) -> String {
         std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap()
     }
 
-    /// The number of robots that have set a value of a script.
+    /// Returns the number of robots that have set a value of a script.
     fn moved(&self) -> usize {
         let moved = |log: &str| log.contains(r#""motion":"set""#) || log.contains(r#""motion":"ramp""#);
         (0..6).filter(|id| moved(&self.log(*id))).count()
@@ -82,14 +82,14 @@ impl Fleet {
         await_that("a move of each robot", || self.moved() == 6);
     }
 
-    /// Asserts that no robot has set a value of a script, or does so within `window`.
+    /// Asserts that no robot has set a value of a script when the time `window` has passed.
     #[track_caller]
     fn assert_none_moves(&self, window: Duration) {
         std::thread::sleep(window);
         assert_eq!(self.moved(), 0);
     }
 
-    /// Starts a mission in which all robots move. Starts it again if its report states that this machine was too slow.
+    /// Starts a mission, and returns it when all robots have moved. Starts it again if its report states that this machine was too slow.
     #[track_caller]
     fn playing(&self) -> Child {
         for _ in 0..ATTEMPTS {
@@ -122,7 +122,7 @@ impl Drop for Fleet {
     }
 }
 
-/// Reads the scheduler's progress up to a line with this text.
+/// Reads the scheduler's progress messages until a line contains this text.
 fn await_line(child: &mut Child, text: &str) {
     let lines = BufReader::new(child.stderr.as_mut().unwrap()).lines();
     for line in lines {

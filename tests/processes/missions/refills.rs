@@ -1,5 +1,5 @@
-//! Chains of scripts longer than a device's queue, through several acts: every value of every script is set once, in order, whichever act
-//! its script belongs to and however many scripts the earlier acts had.
+//! Chains of scripts that are longer than a device's queue, in several acts. Every value of every script is set once and in order.
+//! Neither the act of a script nor the number of scripts in earlier acts makes a difference.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -15,7 +15,7 @@ const ACTS: usize = 3;
 /// Number of devices of one robot.
 const DEVICES: usize = 8;
 
-/// Number of scripts of a device in each act.
+/// Number of scripts of a device, for each act.
 type Chains = [u32; ACTS];
 
 /// Whether the robots report the progress of their scripts.
@@ -25,16 +25,17 @@ enum Reports {
     Untold,
 }
 
-/// Three acts of the same length, which every device fills with its scripts from the first to the last moment.
+/// A show of three acts of the same length. Each device has scripts for the whole length of each act.
 struct Matrix {
     queue: u32,
-    /// Length of an act, in milliseconds: the shortest that permits a chain of four scripts that the device receives in parts.
+    /// Length of an act, in milliseconds: the shortest for which `check` permits a chain of four scripts that the device receives in
+    /// parts.
     act: u32,
     reports: Reports,
     chains: Vec<Chains>,
 }
 
-/// Returns the length of the shortest acts for which `check` permits four scripts on a device with this queue.
+/// Returns the length of the shortest act, in milliseconds, for which `check` permits four scripts on a device with this queue.
 fn shortest_act(queue: u32) -> u32 {
     match queue {
         2 => 4_032,
@@ -71,7 +72,7 @@ impl Matrix {
         format!("id: robot\napi_version: '1'\nreports: {reports}\ndevices:\n{devices}")
     }
 
-    /// Returns the devices of a robot, and their chains.
+    /// Returns the devices of a robot, each with the number of its scripts in each act.
     fn of_robot(&self, robot: usize) -> impl Iterator<Item = (String, Chains)> {
         let chains = self.chains.iter().skip(robot * DEVICES).take(DEVICES);
         chains.enumerate().map(|(d, chains)| (format!("d{d}"), *chains))
@@ -110,7 +111,7 @@ impl Matrix {
         stage
     }
 
-    /// Returns the deviations of the logs from the plan.
+    /// Returns the devices whose logged values differ from the plan, each with a description of the difference.
     fn deviations(&self, stage: &Stage) -> BTreeMap<String, String> {
         let mut deviations = BTreeMap::new();
         for robot in 0..self.robots() {
@@ -165,7 +166,7 @@ impl Matrix {
     }
 }
 
-/// Returns the values of a device in an act: no value occurs twice.
+/// Returns the values that a device with this number of scripts sets in an act. No value occurs twice in a show.
 fn values(act: usize, scripts: u32) -> impl Iterator<Item = f64> {
     let first = 1 + 30 * u32::try_from(act).unwrap();
     (first..first + STEPS * scripts).map(f64::from)
@@ -186,7 +187,8 @@ fn every_chain_plays_to_its_end_on_devices_that_hold_four_scripts() {
     Matrix::of(4, Reports::Told, all_chains()).plays_to_the_end();
 }
 
-/// With the same chains on all devices, the next act is sent as soon as they have room, not when the slowest of many has.
+/// If all devices have the same chains, the next act is sent as soon as the devices have room. It need not wait for the slowest of many
+/// different devices.
 #[test]
 fn a_fleet_whose_devices_all_have_the_same_chains_plays_to_its_end() {
     let alone: [(u32, Chains); 8] = [

@@ -1,4 +1,4 @@
-//! Where robots come to rest: a stop leaves them where they are, and home sends them to their default state.
+//! Where robots come to rest: a stop leaves them where they are, and `--home` sends them to their default state.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use stage::quiet::{await_that, stays};
 use stage::terminal::Terminal;
 use stage::{Process, Running, Stage, Via, epoch_nanos, one_device};
 
-/// Returns two robots whose default state is far from the positions of their script.
+/// Returns a stage with two robots, whose default state is far from the positions of their script.
 fn stage() -> Stage {
     let mut stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
@@ -27,7 +27,7 @@ fn playing(stage: &Stage) -> Running {
     stage.begin(&["run", "play.yaml"], 0..stage.robots.len(), 5)
 }
 
-/// Checks that no robot continues, or moves to its default state.
+/// Checks that no robot continues its script or moves to its default state.
 #[track_caller]
 fn stand_where_they_were(stage: &Stage) {
     let by_now = epoch_nanos();
@@ -115,7 +115,8 @@ fn the_key_for_home_moves_robots_home_that_have_stopped_already_once_all_have_co
     }
 }
 
-/// The scheduler does not answer: `stop` stops the robots itself, and the scheduler must learn of it.
+/// Checks a stop while the scheduler does not answer: `stop` stops the robots itself. The scheduler has to report this stop and must not
+/// move the robots.
 #[track_caller]
 fn is_stopped_past_the_scheduler(stage: &Stage, mission: Running) {
     let stopped = stage.run(&["stop"]);
@@ -179,7 +180,7 @@ fn a_resumed_mission_that_was_stopped_moves_no_robot() {
     stand_where_they_were(&stage);
 }
 
-/// Returns a robot that is driven by a program of the scheduler.
+/// Returns a stage with one robot. Its driver is a program that the scheduler starts.
 fn driven() -> Stage {
     let stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
@@ -192,12 +193,12 @@ fn driven() -> Stage {
     stage
 }
 
-/// Returns the input of its program.
+/// Returns the input that the robot's driver program has received.
 fn told(stage: &Stage) -> String {
     std::fs::read_to_string(stage.path("driven.txt")).unwrap_or_default()
 }
 
-/// A driver that writes the time and the value of each `set`.
+/// A driver program that logs the time and the value of each `set`.
 const LOGGING: &str = "import sys, time
 for line in sys.stdin:
     words = line.split()

@@ -1,4 +1,4 @@
-//! Missions whose scheduler was killed: how another process resumes, refuses or withdraws them, and reports the time before.
+//! Missions whose scheduler was killed. Another process resumes, refuses or withdraws them, and reports what happened before.
 
 use std::process::Command;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -9,7 +9,7 @@ use stage::{Process, Proxy};
 
 use super::missions::{evening, on_tcp, ports, robot, start_command};
 
-/// Starts a command, and kills it once the journal of its mission contains this record.
+/// Starts a command, and kills it once the journal of its mission contains `record`.
 #[track_caller]
 fn killed_after(session: &Session, command: Command, record: &str) {
     let (child, _) = start_command(command, "");
@@ -17,7 +17,8 @@ fn killed_after(session: &Session, command: Command, record: &str) {
     drop(child);
 }
 
-/// Starts a command, and kills it 100 ms after this act has started, because a commitment is recorded before it is sent.
+/// Starts a command, and kills it 100 ms after the start of an act. The record `committed` alone does not suffice, because a commitment
+/// is recorded before it is sent.
 #[track_caller]
 fn killed_in_act(session: &Session, command: Command, number: u32) {
     let (child, _) = start_command(command, "");
@@ -63,7 +64,7 @@ fn a_mission_that_an_operator_stops_after_a_crash_was_stopped() {
     assert!(journals(&session).contains(r#""record":"ended","outcome":"stopped""#), "{}", stopped.text());
 }
 
-/// Returns two acts, the second of which takes longer than a resumption.
+/// Returns a session with two acts, the second of which takes longer than a resumption. The process contains the robots.
 fn with_a_long_finale() -> (Session, Process) {
     let session = evening("");
     let text = std::fs::read_to_string(session.path("evening.yaml")).unwrap();

@@ -1,4 +1,4 @@
-//! Devices that are not where an act expects them: the start is refused, or they move there first.
+//! Devices that are not where an act expects them: the start is refused, or they move there first (an approach).
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use rustix::process::Signal;
 use stage::quiet::await_that;
 use stage::{Stage, Via, with_devices};
 
-/// Returns two robots with a joint that moves linearly, at most 60 degrees per second.
+/// Returns a stage with two robots, whose joint moves linearly at 60 degrees per second or less.
 fn stage() -> Stage {
     stage_with(Via::Direct)
 }
 
-/// The same, with this connection to the second robot.
+/// Returns the stage of [`stage`], with this connection to the second robot.
 fn stage_with(second: Via) -> Stage {
     let mut stage = Stage::new();
     let joint = "  - id: joint
@@ -35,7 +35,7 @@ fn stage_with(second: Via) -> Stage {
     stage
 }
 
-/// Plays the scenario that leaves both joints at 80 degrees.
+/// Plays the scenario that leaves both joints at 80 degrees. Returns the number of log entries of each robot.
 #[track_caller]
 fn left_at_80(stage: &Stage) -> Vec<usize> {
     let played = stage.run(&["run", "out.yaml"]);
@@ -86,7 +86,7 @@ fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_spee
     }
 }
 
-/// Whether this process, and the programs that it starts, ignore a signal. A shell makes programs in the background ignore Ctrl-C.
+/// Whether this process, and the programs that it starts, ignore a signal. For example, a shell makes background programs ignore Ctrl-C.
 fn is_ignored(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
@@ -150,7 +150,8 @@ fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
     assert_eq!(home.code, Some(0), "{home}");
 }
 
-/// Returns the command that plays `back` after an approach and starts it in `seconds`, with the instant of that start.
+/// Returns arguments that play `back` after an approach, with a start in `seconds`, and the instant of this start in nanoseconds since
+/// the epoch. The approach moves the joints to the first positions of the act.
 fn in_seconds(seconds: i64) -> ([String; 6], i64) {
     let start = chrono::Utc::now() + chrono::TimeDelta::seconds(seconds);
     let args = ["run", "back.yaml", "--approach", "3s", "--at", &start.to_rfc3339()].map(str::to_owned);

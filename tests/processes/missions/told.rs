@@ -1,11 +1,11 @@
-//! Reports about stops, leases and starts agree with the events in real processes.
+//! Reports about stops, leases and starts: they agree with the events in real processes.
 
 use rustix::process::Signal;
 
 use stage::play::{LONG, Play, SHORT};
 use stage::{Robot, Stage, Via, sleep_until};
 
-/// The script of the first robot, which no message reaches any longer, ends after the stop was sent.
+/// Checks that the end of a script confirms no stop. Messages to the first robot are lost, and its script ends after the stop was sent.
 #[track_caller]
 fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
     let stage = Play { steps: 14, ..LONG }.stage(&[Via::Proxy, Via::Direct]);
@@ -79,7 +79,8 @@ fn steps_that_were_later_than_is_tolerated_are_named_and_are_no_success() {
     assert!(line.is_some_and(|line| line.contains(" of `d` late by more than 1 ms, ")), "{ended}");
 }
 
-/// Freezes the second robot once both have set this number of values, and stops the mission as an operator.
+/// Freezes the second robot once both have set this number of values, and stops the mission by Ctrl-C. Checks that the report states no
+/// end of a lease.
 #[track_caller]
 fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
     let mut running = stage.begin(&["run", "play.yaml", "--patience", "1s"], 0..stage.robots.len(), sets);

@@ -1,4 +1,4 @@
-//! A link that slows down between the greeting and the decision: no robot plays an act alone.
+//! A link that slows down after the greeting, before the scheduler decides that an act starts: no robot plays an act alone.
 
 use std::time::Duration;
 
@@ -9,12 +9,13 @@ use stage::quiet::await_that;
 use stage::{Running, Stage, Via};
 
 const LEAD: &str = "1500ms";
-/// A request that takes this long arrives before its start, and its pending lease reaches beyond the start.
+/// Delay of a request. With this delay, the request arrives before its start, and its pending lease ends after the start.
 const UNDER_WAY: Duration = Duration::from_millis(1_300);
-/// After this time, an act that begins at all has begun.
+/// Time after which every act that is going to start has started.
 const AFTER_THE_START: Duration = Duration::from_secs(3);
 
-/// Plays to robots, the first of which receives its requests late. `meanwhile` is applied to the scheduler once they are in flight.
+/// Starts a mission whose first robot receives its requests late. Calls `meanwhile` with the scheduler while they are in flight. Checks
+/// that no robot moves.
 fn played_late(meanwhile: impl FnOnce(&mut Running)) -> (Stage, Running) {
     let stage = Play { steps: 16, ..SHORT }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();

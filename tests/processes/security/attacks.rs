@@ -1,4 +1,4 @@
-//! Missions of six robots while strangers attack one of them: none starts late, the report is true, and neither the scheduler nor the
+//! Missions of six robots while strangers attack one of them. No robot starts late, and the report is true. Neither the scheduler nor the
 //! robot exceeds its memory limit.
 
 use std::io::Write;
@@ -15,28 +15,28 @@ use stage::play::{Play, SHORT, SOON};
 use stage::quiet::await_that;
 use stage::{Ended, Stage, Via};
 
-/// The limit for the memory of the scheduler and of the robot in megabytes, whatever strangers send.
+/// Maximum memory of the scheduler and of the robot, in megabytes, whatever strangers send.
 const MEGABYTES_MAX: u64 = 200;
 const STRANGERS: usize = 14;
 
-/// The messages of a stranger, which repeats them until it is disconnected, and then connects again.
+/// What a stranger sends. It repeats this until it is disconnected, and then connects again.
 #[derive(Clone, Copy, Debug)]
 enum Attack {
-    /// Requests the description and reads no answer.
+    /// The stranger requests the description again and again, and reads no answer.
     Unread,
-    /// Scripts of 8 MB.
+    /// The stranger sends scripts of 8 MB.
     LongScripts,
-    /// Lines that are no messages.
+    /// The stranger sends lines that are not messages.
     Noise,
-    /// Takes a place and occasionally sends a byte.
+    /// The stranger occupies a connection and occasionally sends a byte.
     Drip,
-    /// Requests more readings than a robot can remember.
+    /// The stranger requests more readings than a robot can remember.
     Readings,
-    /// A command that starts in a year.
+    /// The stranger sends a command that starts in a year.
     NextYear,
-    /// A stop with a future timestamp, so that all earlier messages would be too old.
+    /// The stranger sends a stop with a future timestamp. If the robot accepted it, all earlier messages would be too old.
     FutureStop,
-    /// The mission's session by its name, without its key: to claim the robot, to stop it, and to renew its leases.
+    /// The stranger names the mission's session, without its key: to claim the robot, to stop it, and to renew its leases.
     Session,
 }
 
@@ -83,7 +83,7 @@ impl Attack {
         }
     }
 
-    /// Attacks until it is disconnected, or has sent enough bytes to connect again.
+    /// Connects and attacks until the robot disconnects or the test is over.
     fn once(self, port: u16, state: &State) -> std::io::Result<()> {
         let mut stream = TcpStream::connect(("127.0.0.1", port))?;
         stream.set_write_timeout(Some(Duration::from_secs(1)))?;
@@ -104,7 +104,7 @@ impl Attack {
 #[derive(Default)]
 struct State {
     over: AtomicBool,
-    /// Number of complete attacks, or of those that were taken in part.
+    /// Number of attacks that were sent, completely or in part.
     attacks: AtomicUsize,
 }
 
@@ -129,7 +129,7 @@ impl Attackers {
         Self { state, threads }
     }
 
-    /// Waits until there was one attack of each stranger on average.
+    /// Waits until the strangers have made as many attacks as there are strangers.
     fn are_under_way(&self) {
         await_that("the attack", || self.state.attacks.load(Ordering::Relaxed) >= STRANGERS);
     }
@@ -165,7 +165,7 @@ fn is_played_next_to(attack: Attack, stage: impl Fn() -> Stage) {
     assert!(spread < 2_000_000_000, "{attack:?}: {spread} ns");
 }
 
-/// Plays the mission next to an attack. Returns its result, and the peak memory usage of the scheduler in megabytes.
+/// Plays the mission during an attack. Returns its result, and the peak memory usage of the scheduler in megabytes.
 fn next_to(attack: Attack, stage: &Stage) -> (Ended, u64) {
     let attackers = || Attackers::start(attack, stage.robots[0].port());
     // Anyone may claim a free robot without keys, and then the mission does not begin.

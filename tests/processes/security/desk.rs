@@ -1,4 +1,4 @@
-//! Operators that share a computer control a mission with an identity by stop and go: their certificates decide.
+//! Operators with identities who share a computer, and control a mission by `stop` and `go`: their certificates decide what they may do.
 
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ acts:
     cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
 ";
 
-/// Starts Anna's mission, whose act waits for a go.
+/// Starts a mission of the operator Anna, whose act waits for the command `go`. Waits until the mission accepts commands.
 fn anna_waits() -> (Site, Child) {
     let site = Site::new();
     site.session.file("waits.yaml", WAITS);
@@ -32,7 +32,7 @@ fn anna_waits() -> (Site, Child) {
     (site, playing)
 }
 
-/// Runs a command with this identity file.
+/// Runs a command with this identity file; `None` for the default identity.
 fn by(session: &Session, identity: Option<&str>, args: &[&str]) -> Ran {
     let mut command = session.command(args);
     if let Some(identity) = identity {
@@ -41,7 +41,7 @@ fn by(session: &Session, identity: Option<&str>, args: &[&str]) -> Ran {
     Ran(command.output().unwrap())
 }
 
-/// Gives a go, and repeats it until the fleet has been checked.
+/// Gives the command `go`, and repeats it while the mission still checks the fleet, for at most 30 s.
 fn go(session: &Session, identity: &str) -> Ran {
     let begun = Instant::now();
     loop {

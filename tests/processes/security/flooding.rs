@@ -1,4 +1,4 @@
-//! Missions with a robot that sends far more than was requested, or answers questions that were never asked.
+//! Missions with a robot that sends far more than was requested, or sends answers to requests that were never sent.
 
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use stage::{Ended, Stage, Via};
 /// Memory limit of the scheduler's process in megabytes, whatever a robot sends.
 const MEGABYTES_MAX: u64 = 200;
 
-/// Starts robots as processes, and adds further ones at these ports.
+/// Starts a stage with this number of robots as processes, and adds the robots `further` to the fleet file, each with its port.
 fn stage(play: &Play, robots: usize, further: &[(&str, u16)]) -> Stage {
     let stage = play.stage(&vec![Via::Direct; robots]);
     let mut fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
@@ -25,7 +25,7 @@ fn stage(play: &Play, robots: usize, further: &[(&str, u16)]) -> Stage {
     stage
 }
 
-/// Runs it to its end; also returns its peak memory usage in megabytes, and its duration.
+/// Runs a command to its end. Returns its result, its peak memory usage in megabytes, and its duration.
 fn watched(stage: &Stage, args: &[&str]) -> (Ended, u64, Duration) {
     let began = Instant::now();
     let mut run = stage.start(args);
@@ -136,7 +136,7 @@ fn an_answer_to_a_question_that_was_never_asked_delays_nobody() {
     assert!(report["robots"][0]["clock"].is_null(), "{ended}");
 }
 
-/// Returns the keys of sessions in the messages to a robot.
+/// Returns the session keys in the messages that a robot has received, each once.
 fn keys(raw: &Raw) -> Vec<String> {
     let kinds = ["availability_request", "inquiry", "control_request"];
     let sessions = kinds.iter().flat_map(|kind| raw.heard(kind));

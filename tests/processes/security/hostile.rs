@@ -1,4 +1,4 @@
-//! A mission with a robot that writes invalid messages.
+//! Missions with a robot that sends invalid messages, or texts that attack the operator's terminal.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -15,7 +15,8 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]
 ";
 
-/// Returns a fleet of a simulated arm and a robot with these answers to requests; `None` is no answer.
+/// Creates a fleet of a simulated arm and a hostile robot. `answer` returns the robot's answer to a request; `None` if it does not
+/// answer.
 fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -42,14 +43,14 @@ fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
     session
 }
 
-/// Returns a fleet with a robot that is available and then describes itself by this line.
+/// Creates a fleet with a robot that is available and sends `line` as its description.
 fn described(line: String) -> Session {
     beside(move |request| {
         if request.contains("initialization_request") { Some(line.clone()) } else { Some(available(request)) }
     })
 }
 
-/// Returns an answer of an available robot, whose clock is the server's.
+/// Returns the answer to an availability request from a robot that is available. Its clock agrees with that of the server.
 fn available(request: &str) -> String {
     let asked = request.split("\"timestamp\":\"").nth(1).and_then(|rest| rest.split('"').next());
     let originate = asked.map(|asked| format!(r#""originate_timestamp":"{asked}","#)).unwrap_or_default();
@@ -84,10 +85,11 @@ fn no_robot_moves_when_one_describes_itself_beyond_the_limits() {
     check_refused(r#"{"initialization_block":"#.repeat(100_000), "invalid JSON at column");
 }
 
-/// Sets the window's title, clears the screen, writes to the clipboard, and forges a line that an operator would believe.
+/// A text that sets the window's title, clears the screen and writes to the clipboard. It also forges a line that an operator would
+/// believe.
 const EVIL: &str = "\u{1b}]0;pwned\u{7}\u{1b}[2J\u{1b}[H\u{1b}]52;c;cHduZWQ=\u{7}\n\u{1b}[32mall robots: default state confirmed\u{1b}[0m\r\n\u{9b}2J\u{202e}";
 
-/// Returns the terminal output of a command about this fleet.
+/// Runs a command with this fleet on a terminal, and returns the output.
 fn on_terminal(session: &Session, args: &[&str]) -> Watched {
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
@@ -99,7 +101,7 @@ fn on_terminal(session: &Session, args: &[&str]) -> Watched {
     watched
 }
 
-/// Checks that the terminal executes nothing of [`EVIL`], but shows that there was something.
+/// Checks that no control sequence of [`EVIL`] reaches the terminal, and that the screen shows the text `seen`.
 #[track_caller]
 fn check_harmless(watched: &Watched, seen: &str) {
     let raw = watched.raw();
@@ -111,7 +113,7 @@ fn check_harmless(watched: &Watched, seen: &str) {
     assert!(screen.contains(seen), "`{seen}` is not shown:\n{screen}");
 }
 
-/// Returns a fleet with a robot whose answers to availability requests are failures with this reason.
+/// Creates a fleet with a robot that answers availability requests with a failure for this reason.
 fn unavailable(reason: &str) -> Session {
     let error = serde_json::json!({"code": "internal", "message": reason});
     let range =
@@ -157,7 +159,7 @@ fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
     }
 }
 
-/// Returns a scenario whose names are [`EVIL`].
+/// Creates a scenario in which the names are [`EVIL`].
 fn evil_names() -> Session {
     // YAML accepts these characters only in escapes.
     let evil =

@@ -1,4 +1,4 @@
-//! The robot that moves is the intended one: robots as processes at addresses that lead to another robot.
+//! Checks that only the intended robot moves. The robots are processes, and some addresses lead to a wrong robot.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use stage::quiet::stays;
 use stage::session::Session;
 use stage::{Ended, Stage, Via};
 
-/// Writes a fleet file of robots, each with the index of the robot whose port it gets, and with further keys.
+/// Writes a fleet file. Each row of `places` contains the index of a robot, the index of the robot whose port it gets, and further keys.
 fn addresses(stage: &Stage, places: &[(usize, usize, &str)]) {
     let row = |(robot, at, more): &(usize, usize, &str)| {
         let port = stage.robots[*at].port();
@@ -85,7 +85,7 @@ fn without_a_handshake_no_robot_says_its_id_and_preflight_says_so() {
     says(&stage.run(&["fleet", "ping"]), 1, &["its id is `r1`"]);
 }
 
-/// The proxy of `r0` leads to `r2` once both play.
+/// While both robots play, the proxy of `r0` is redirected to another robot, `r2`.
 #[test]
 fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_predecessor_has_failed() {
     let stage = LONG.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
@@ -136,7 +136,7 @@ fn the_same_robot_that_comes_back_goes_on() {
     stage.robots.iter().for_each(|robot| play.was_played_by(robot));
 }
 
-/// Returns a mission whose scheduler was killed while it played, and whose robot `r0` was replaced by another one.
+/// Plays a mission and kills its scheduler. Then replaces the robot `r0` by another one, `stranger`.
 fn left_behind() -> Stage {
     let mut stage = Play { running: "20s", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     let mut run = stage.begin(&["run", "play.yaml"], [0], 5);

@@ -1,4 +1,4 @@
-//! The state folder is removed while a mission plays: the mission writes its journal again, reports it, and can still be stopped.
+//! The state folder is removed while a mission plays. The mission restores its journal, reports this, and can still be stopped.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use stage::quiet::{await_that, stays};
 use stage::{Ended, Running, Stage, Via, one_device};
 
-/// Returns two robots without a lease that play for half a minute, a step every 300 ms.
+/// Returns a stage with two robots that play for half a minute without a lease, with a step every 300 ms.
 fn stage() -> Stage {
     let steps: Vec<_> = (0..100).map(|step| format!("{{at: {}ms, to: {step}}}", step * 300)).collect();
     let mut stage = Stage::new();
@@ -28,7 +28,7 @@ fn missions(state: &Path) -> Vec<PathBuf> {
     missions.flatten().map(|mission| mission.path()).collect()
 }
 
-/// Waits until a mission that has lost its folder can be found again.
+/// Waits until commands find a mission again whose folder was removed.
 #[track_caller]
 fn await_found_again(stage: &Stage) {
     await_that("its folder", || {
@@ -37,7 +37,7 @@ fn await_found_again(stage: &Stage) {
     });
 }
 
-/// Stops the mission by `downbeat stop`, and checks that the robots confirm it. Their logs prove it.
+/// Stops the mission by `downbeat stop`. Checks that the robots confirm the stop, and that their logs agree.
 #[track_caller]
 fn is_stopped(stage: &Stage, mission: Running) -> Ended {
     let stop = stage.run(&["stop"]);

@@ -1,5 +1,5 @@
-//! Robots that fall silent and links that stall or break for a moment, while real processes play: certain failures have consequences in
-//! time, and uncertain ones break nothing.
+//! Robots that fall silent, and links that stall or break for a moment, while real processes play. A certain failure has consequences in
+//! time, and an uncertain one harms nothing.
 
 use std::time::Duration;
 
@@ -13,10 +13,11 @@ fn failed_robots(report: &Value) -> Vec<&str> {
     failures.iter().map(|failure| failure["robot"].as_str().unwrap()).collect()
 }
 
-/// Forty seconds in one script: ten times the time to notice silence and to handle it.
+/// A show of one script that lasts forty seconds: ten times as long as it takes to notice silence and to handle it.
 const FORTY_SECONDS: Play = Play { steps: 200, every_ms: 200, ..LONG };
 
-/// Freezes the second of two robots as soon as both play, and checks that the first one is stopped before its script is over.
+/// Freezes the second of two robots as soon as both play. Checks that the first one stops within `within`, which is before the end of its
+/// script.
 #[track_caller]
 fn check_that_silence_is_noticed(play: &Play, within: Duration) {
     let stage = play.stage(&[Via::Direct, Via::Direct]);
@@ -72,7 +73,7 @@ fn check_that_none_starts(before: i64) {
     assert!(ended.out.contains("play: not started") && ended.code != Some(0), "{ended}");
 }
 
-/// The link of the first robot stalls for 0.6 s under a lease of 2 s.
+/// Checks that a show is played to its end although the link of the first robot stalls for 0.6 s. The lease is 2 s.
 #[track_caller]
 fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
@@ -102,7 +103,7 @@ fn an_act_of_three_scripts_that_are_all_held_survives_a_link_that_stands_still()
     check_that_a_pause_of_the_link_is_survived(&Play { queue: 3, ..CHAIN });
 }
 
-/// A request that contains this value is lost, and the link is down for 50 ms.
+/// Checks that a script is sent again after the request that contains this value was lost. The link is down for 50 ms.
 #[track_caller]
 fn check_that_a_lost_script_is_sent_again(value: u32) {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
@@ -152,7 +153,7 @@ fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patie
     stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
 }
 
-/// The first robot supports only a part of the protocol.
+/// Checks that a mission is played although the first robot does not support the part of the protocol with these keys.
 #[track_caller]
 fn check_that_it_plays_without(keys: &'static [&'static str]) {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
@@ -184,7 +185,7 @@ fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
     assert_eq!(failed_robots(&ended.report()), ["r0"], "{ended}");
 }
 
-/// Returns the time from sending to the start, in milliseconds.
+/// Returns the lead of an act: the time from sending its scripts to its start, in milliseconds.
 fn lead(act: &Value) -> f64 {
     act["lead"].as_object().unwrap().values().filter_map(Value::as_f64).sum()
 }
@@ -215,7 +216,8 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     assert!(leads.iter().all(|lead| *lead < bound), "leads of {leads:?} ms\n{ended}");
 }
 
-/// Plays a first act in which the first robot is lost, and a second one that is sent while the first plays.
+/// Plays two acts. `lose` disables the first robot during the first act, when the second act has already been sent. Checks that no robot
+/// plays an act twice.
 #[track_caller]
 fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
     let mut stage = Play { queue: 2, ..LONG }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);

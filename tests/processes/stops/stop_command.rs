@@ -1,4 +1,4 @@
-//! `downbeat stop` and `downbeat go` with real processes: they work whatever has happened to files, journals and schedulers.
+//! `downbeat stop` and `downbeat go` with real processes: both commands work whatever has happened to files, journals and schedulers.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::time::{Duration, Instant};
@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use stage::quiet::{await_that, stays};
 use stage::{Ended, Running, Stage, Via, epoch_nanos, nanos, one_device, sleep_until};
 
-/// Robots without a lease play this for half a minute, a step every 300 ms.
+/// Template of a scenario that lasts half a minute, without a lease and with a step every 300 ms.
 const PLAYS: &str = "scenario: NAME
 start_tolerance: 1s
 stop_condition: STOP
@@ -26,13 +26,13 @@ fn plays(name: &str, robots: &str) -> String {
     plays.replace("STOP", "{running: none}").replace("STEPS", &steps)
 }
 
-/// Returns `count` steps, one every `millis` milliseconds.
+/// Returns `count` keyframes as YAML, one every `millis` milliseconds.
 fn steps(count: u32, millis: u32) -> String {
     let steps = (0..count).map(|step| format!("{{at: {}ms, to: {step}}}", step * millis));
     steps.collect::<Vec<_>>().join(", ")
 }
 
-/// Returns this number of robots, each a process of its own, and a scenario for all of them.
+/// Returns a stage with this number of robots, each a process of its own, and a scenario for all of them.
 fn stage(robots: usize) -> Stage {
     let mut stage = Stage::new();
     stage.file("robot.yaml", one_device(2, 100, 200)).file("long.yaml", plays("long", "all"));
@@ -42,7 +42,7 @@ fn stage(robots: usize) -> Stage {
     stage
 }
 
-/// Returns a mission whose scheduler was killed while all robots play.
+/// Starts a mission, and kills its scheduler while all robots play.
 fn cut_off(robots: usize) -> Stage {
     let stage = stage(robots);
     let mut mission = stage.begin(&["run", "long.yaml"], 0..robots, 2);
@@ -50,7 +50,7 @@ fn cut_off(robots: usize) -> Stage {
     stage
 }
 
-/// Checks that no robot sets a value of its script any longer. Its steps are 300 ms apart.
+/// Checks that no robot sets further values of its script, whose steps are 300 ms apart.
 #[track_caller]
 fn all_rest(stage: &Stage) {
     stage.await_rest();
@@ -179,7 +179,7 @@ fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
     all_rest(&stage);
 }
 
-/// Returns the number of sockets at the control paths of the missions of this stage.
+/// Returns the number of open control sockets of this stage's missions.
 fn control_sockets(stage: &Stage) -> usize {
     let state = stage.path("state").to_str().unwrap().to_owned();
     let sockets = std::fs::read_to_string("/proc/net/unix").unwrap();
@@ -446,7 +446,7 @@ fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
     all_rest(&stage);
 }
 
-/// Returns the name of the only mission that was cut off.
+/// Returns the name of the only mission that was cut off (whose scheduler is gone).
 fn cut_off_name(stage: &Stage) -> String {
     let missions = stage.run(&["missions", "--format", "json"]);
     let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
@@ -455,13 +455,14 @@ fn cut_off_name(stage: &Stage) -> String {
     found.unwrap()["mission"].as_str().unwrap().to_owned()
 }
 
-/// Waits until the lease of a mission that was cut off has run out: until then the robot belongs to it.
+/// Waits until the lease of a mission whose scheduler was killed has run out. Until then the robot belongs to that mission.
 #[track_caller]
 fn await_end_of_lease(stage: &Stage) {
     await_that("the end of the lease", || stage.robots[0].rests());
 }
 
-/// Returns a mission that was cut off, with its name, and one that meanwhile drives its robot.
+/// Returns a stage with two missions, and the name of the first one. The first mission's scheduler was killed, and the second mission now
+/// drives its robot.
 fn taken_over() -> (Stage, String, Running) {
     let stage = stage(1);
     let old = plays("old", "all").replace("{running: none}", "{running: 1s}");

@@ -1,5 +1,5 @@
-//! The operator's stop, with robots and scheduler as processes, while one thing after another in and around the scheduler stalls: every
-//! reachable robot is at rest at once by its own log, and the others are named.
+//! Stops by the operator, with robots and scheduler as processes, while something in or around the scheduler stalls. By its own log,
+//! every reachable robot comes to rest at once. The report names the others.
 
 mod background;
 mod cell;
@@ -14,19 +14,19 @@ use cell::check_row;
 use show::TROUBLES;
 use stage::{Stage, Via, one_device};
 
-/// How the operator stops.
+/// How the operator stops a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
     CtrlC,
     Terminate,
     HangUp,
-    /// `downbeat stop`.
+    /// The command `downbeat stop`.
     Command,
-    /// `downbeat stop` after the scheduler was killed.
+    /// The command `downbeat stop`, after the scheduler was killed.
     AfterCrash,
-    /// `downbeat stop` while the scheduler's process is stopped.
+    /// The command `downbeat stop`, while the scheduler's process is suspended.
     WhileFrozen,
-    /// Ctrl-\.
+    /// Ctrl-\ (SIGQUIT).
     Quit,
 }
 

@@ -1,4 +1,4 @@
-//! The output and exit codes of single commands in empty or unusual situations.
+//! The output and exit codes of individual commands in unusual situations, for example without any mission.
 
 use std::fs::File;
 
@@ -187,8 +187,8 @@ fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
     assert_eq!(stopped.code, Some(0), "{stopped}");
 }
 
-/// Ways in which every command fails, with the exit code of that kind of fault. 2: arguments or files cannot be read, or name something
-/// that does not exist. 1: the content of a file is wrong, or no robot answers.
+/// Commands that fail, each with its exit code. Code 2: arguments or files cannot be read, or name something that does not exist. Code 1:
+/// the content of a file is wrong, or no robot answers.
 const FAILURES: [(u8, &str); 52] = [
     (2, "frobnicate"),
     (2, "check"),

@@ -24,10 +24,10 @@ acts:
       - {cue: down, at: 0s, robots: arms, tracks: {shoulder: [{at: 500ms, to: 20}, {at: 1s, to: 0}]}}
 ";
 
-/// A mission on a terminal.
+/// A mission that runs on a terminal.
 struct OnTerminal {
     terminal: Terminal,
-    /// The terminal's settings before it.
+    /// The terminal's settings before the mission.
     before: String,
     watched: Watched,
     process: Process,
@@ -43,14 +43,14 @@ impl OnTerminal {
         Self { terminal, before, watched, process }
     }
 
-    /// Starts a mission of many seconds, and waits until it plays.
+    /// Starts a mission that lasts many seconds, and waits until its display says that it plays.
     fn playing(stage: &Stage) -> Self {
         let mission = Self::start(stage.command(&["run", "play.yaml"]), 100);
         mission.watched.shows("playing", SOON);
         mission
     }
 
-    /// Waits until the terminal's settings are as before, or are not.
+    /// Waits until the terminal's settings are as before the mission, or differ if not `wanted`. Returns `false` after a minute.
     fn is_as_before(&self, wanted: bool) -> bool {
         (0..6_000).any(|_| {
             std::thread::sleep(Duration::from_millis(10));
@@ -58,7 +58,7 @@ impl OnTerminal {
         })
     }
 
-    /// Returns its exit code, and the final text on the terminal.
+    /// Waits for the end of the mission. Returns its exit code, and the final text on the terminal.
     fn ended(mut self) -> (Option<i32>, String) {
         let code = self.process.0.wait().unwrap().code();
         self.terminal.settle(&self.watched);

@@ -1,4 +1,4 @@
-//! Output delays nothing, and output that cannot be printed is no success.
+//! The output of the program: it delays nothing, and if it cannot be printed, the exit code indicates a failure.
 
 use std::fs::File;
 use std::process::Stdio;
@@ -11,12 +11,12 @@ use stage::session::{Session, arm_at};
 use stage::terminal::{Terminal, fill};
 use stage::{Process, Stage, Via};
 
-/// Returns two robots that play for 40 seconds without a lease, whatever the scheduler does.
+/// Returns a stage with two robots that play for 40 seconds without a lease, and therefore do not depend on the scheduler.
 fn stage() -> Stage {
     Play { steps: 200, every_ms: 200, running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct])
 }
 
-/// Checks that a mission whose output is not read plays, and stops on command.
+/// Checks that a mission whose output is not read plays, and stops by Ctrl-C.
 #[track_caller]
 fn check_that_it_plays_and_stops(out: Stdio, err: Stdio) {
     let stage = stage();
@@ -45,7 +45,7 @@ fn a_terminal_that_stands_still_holds_up_no_mission() {
     check_that_it_plays_and_stops(terminal.end(), terminal.end());
 }
 
-/// Returns the writing end of a full pipe that is not read, with its reading end.
+/// Returns a full pipe: its reading end, which nobody reads, and its writing end.
 fn full_pipe() -> (File, File) {
     let (reader, writer) = rustix::pipe::pipe().unwrap();
     let writer = File::from(writer);
@@ -92,7 +92,7 @@ cues:
     tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]}
 ";
 
-/// Checks the exit code and the message of this command if standard output is on a full disk.
+/// Checks the exit code and the message of a command whose standard output is on a full disk.
 #[track_caller]
 fn check_on_a_full_disk(args: &[&str], code: i32) {
     let session = Session::new();

@@ -1,4 +1,4 @@
-//! C programs and libraries that tests need, compiled once.
+//! Compiles C programs and libraries that tests need, each once per process.
 
 use std::collections::HashMap;
 use std::path::PathBuf;

@@ -1,11 +1,11 @@
-//! Detects missions for which this machine was too slow, according to Downbeat's own report.
+//! Recognises, by Downbeat's own report, missions for which this machine was too slow.
 //!
-//! A test may play a mission again only for these reasons. Any other failure is a fault.
+//! Only for these reasons, a test may play a mission again. Any other failure is a fault.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Sentences or words of a report, each with the outcome or failure that it indicates.
+/// Sentences or words of a report by which a slow machine is recognised, each with the outcome or failure that it indicates.
 const REASONS: [(&str, &str); 8] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
     ("this machine was delayed", "outcome `decision_late`"),
@@ -33,14 +33,14 @@ fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
 
-/// Plays a mission with `play`. Plays it again if its report states that this machine was too slow. Prints each repetition to standard
-/// error.
+/// Plays a mission by calling `play`, and plays it again if its report states that this machine was too slow. Prints each repetition to
+/// standard error.
 #[track_caller]
 pub fn played<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(None, play, |played| reason(&report(played)))
 }
 
-/// Like [`played`], but also removes from the state folder the missions that are played again.
+/// Like [`played`], but before a mission is played again, removes the previous attempt from the state folder.
 #[track_caller]
 pub fn played_in<T>(state: &Path, play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(Some(state), play, |played| reason(&report(played)))

@@ -96,10 +96,10 @@ pub struct Robot {
     logs: Vec<PathBuf>,
 }
 
-/// Environment variable that makes robots accept only TLS, so that any trial can run with TLS.
+/// Environment variable that makes robots accept only TLS, so that any test can also run with TLS.
 const BY_TLS: &str = "DOWNBEAT_TLS";
 
-/// A folder with running robots, with the fleet file that lists them, and with scenarios.
+/// A folder that contains a fleet file and scenarios, and the running robots that the fleet file lists.
 pub struct Stage {
     folder: TempDir,
     pub robots: Vec<Robot>,
@@ -194,13 +194,13 @@ impl Stage {
         self.file("fleet.yaml", format!("{identity}robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
     }
 
-    /// Ends a robot's process and starts it again on the same port. The new process remembers nothing.
+    /// Ends a robot's process, and starts it again on the same port. The new process knows nothing of what the old one received.
     pub fn restart(&mut self, index: usize) {
         let id = self.robots[index].id.clone();
         self.replace(index, &id);
     }
 
-    /// Ends a robot's process. A robot with this id takes over the port, and its log is added to the logs of the robot.
+    /// Ends a robot's process, and starts a robot with this id on the same port. The log of the new process is added to the robot's logs.
     pub fn replace(&mut self, index: usize, id: &str) {
         let args = self.robots[index].args.clone();
         self.replace_with(index, id, args);
@@ -260,7 +260,7 @@ impl Stage {
         self.start_in_time(args, |running| running.find(text).is_some())
     }
 
-    /// Starts a mission and waits for `has_begun`. Starts the mission again if it ended before that and its report states that this
+    /// Starts a mission, and returns it when `has_begun` returns true. Starts it again if it ends before that and reports that this
     /// machine was too slow.
     #[track_caller]
     fn start_in_time(&self, args: &[&str], has_begun: impl Fn(&mut Running) -> bool) -> Running {
@@ -292,8 +292,8 @@ impl Stage {
     }
 }
 
-/// Returns a command that runs Downbeat with the default action for SIGHUP. `nohup` disables this action for its children, including
-/// these tests.
+/// Returns a command that runs Downbeat with the default action for SIGHUP. This matters if `nohup` runs the tests, because the programs
+/// that it starts ignore SIGHUP.
 pub fn ended_by_a_hang_up() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP", program()]);
@@ -327,7 +327,7 @@ impl Robot {
         self.process.kill();
     }
 
-    /// Stops the robot's process with SIGSTOP, until `thaw`.
+    /// Suspends the robot's process by SIGSTOP until [`Robot::thaw`] is called.
     pub fn freeze(&self) {
         self.process.signal(Signal::STOP);
     }
@@ -352,7 +352,7 @@ impl Robot {
         self.log().split_off(lines)
     }
 
-    /// Returns the log entries of the script values that the robot has set.
+    /// Returns the log entries of kind `set`: the script values that the robot has set.
     pub fn sets(&self) -> Vec<Logged> {
         self.log().into_iter().filter(|entry| entry.motion == "set").collect()
     }
@@ -372,7 +372,7 @@ impl Robot {
         }
     }
 
-    /// Waits until the robot has logged `count` values.
+    /// Waits until the robot has logged `count` script values.
     #[track_caller]
     pub fn await_sets(&self, count: usize, within: Duration) {
         let began = Instant::now();
@@ -419,8 +419,8 @@ impl Logged {
     }
 }
 
-/// Returns a description of a robot that makes reports and has the device `d`. `queue` is the queue length, `largest` the largest
-/// position, and `steps` the maximum number of steps of a script.
+/// Returns the description of a robot that makes reports and has the device `d`. `queue` is the number of scripts that the device holds,
+/// `largest` the largest position, and `steps` the maximum number of steps of a script.
 pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Display) -> String {
     with_devices(&format!(
         "  - id: d
@@ -444,7 +444,8 @@ pub fn nanos(text: &str) -> i64 {
     at.as_nanos()
 }
 
-/// Converts a local time of day to nanoseconds since the Unix epoch. Assumes today or, around midnight, the day before or after.
+/// Converts a local time of day to nanoseconds since the Unix epoch. Of yesterday, today and tomorrow, chooses the day for which the
+/// result is closest to now.
 pub fn today(text: &str) -> i64 {
     let time: chrono::NaiveTime = text.parse().unwrap_or_else(|_| panic!("no time of day: {text}"));
     let now = chrono::DateTime::from_timestamp_nanos(epoch_nanos()).with_timezone(&chrono::Local);
@@ -465,7 +466,7 @@ pub fn sleep_until(at: i64) {
     std::thread::sleep(Duration::from_nanos(ahead));
 }
 
-/// Downbeat, running in the background. Its output is read as it arrives.
+/// A run of Downbeat in the background, whose output is read as it arrives.
 pub struct Running {
     pub process: Process,
     lines: Receiver<String>,
@@ -473,7 +474,7 @@ pub struct Running {
     out: JoinHandle<String>,
 }
 
-/// Result of Downbeat after its end.
+/// The result of a run of Downbeat that has ended.
 #[derive(Clone)]
 pub struct Ended {
     pub code: Option<i32>,
@@ -509,7 +510,8 @@ impl Running {
         Self { process: Process(child), lines, told: String::new(), out }
     }
 
-    /// Returns the next line of output that contains `text`. Panics with the report if Downbeat ends without printing such a line.
+    /// Returns the next line of Downbeat's messages that contains `text`. Panics with the report if Downbeat ends without printing such a
+    /// line.
     #[track_caller]
     pub fn line(&mut self, text: &str) -> String {
         self.find(text).unwrap_or_else(|| {
@@ -529,7 +531,7 @@ impl Running {
         None
     }
 
-    /// Waits for the next act to be prepared, and returns its start, in nanoseconds since the Unix epoch.
+    /// Waits until the mission prepares the next act, and returns its planned start, in nanoseconds since the Unix epoch.
     #[track_caller]
     pub fn start(&mut self) -> i64 {
         start_in(&self.line("start at "))
@@ -544,13 +546,14 @@ impl Running {
         self.process.0.try_wait().unwrap().is_some()
     }
 
-    /// Waits for the end of Downbeat, at most a minute.
+    /// Waits until Downbeat ends, and returns its result. Panics after a minute.
     #[track_caller]
     pub fn ended(self) -> Ended {
         self.ended_within(Duration::from_secs(60)).unwrap_or_else(|told| panic!("the program hangs: {told}"))
     }
 
-    /// Returns the result of Downbeat. If it does not end within `patience`, kills it and returns its messages as the error.
+    /// Waits until Downbeat ends, and returns its result. If it does not end within `patience`, kills it and returns its messages as the
+    /// error.
     pub fn ended_within(mut self, patience: Duration) -> Result<Ended, String> {
         let began = Instant::now();
         let code = loop {
@@ -574,7 +577,7 @@ fn start_in(line: &str) -> i64 {
 }
 
 impl Ended {
-    /// Panics unless the report states that this machine was too slow.
+    /// Panics unless the report states that this machine was too slow for the mission.
     #[track_caller]
     pub fn assert_held_up(&self) {
         let reason = held_up::reason(&self.said());
@@ -590,7 +593,8 @@ impl Ended {
 }
 
 impl fmt::Display for Ended {
-    /// Displays the result for a failed test. A report is reduced to its outcome and its failures.
+    /// Displays the result for the message of a failed test. A report is reduced to its outcome, its failures, and the main figures of
+    /// each robot.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "exit code {:?}\n{}", self.code, self.told)?;
         let report: Value = serde_json::from_str(&self.out).unwrap_or_default();

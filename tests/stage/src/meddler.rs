@@ -1,16 +1,16 @@
-//! A machine between an operator and a robot that alters, repeats or reorders messages to the robot. It has neither side's keys.
+//! A tamperer between an operator and a robot, which alters, repeats or reorders messages to the robot. It has the keys of neither side.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// How a byte stream is divided into records.
+/// How a byte stream is divided into records, which depends on the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wire {
-    /// Each record starts with a type, a version and a length of two bytes.
+    /// TLS: each record starts with a type, a version, and a length of two bytes.
     Tls,
-    /// Two lines, and then records that start with a length of four bytes and a code of sixteen bytes.
+    /// HMAC with a shared secret: two lines, and after them records that start with a length of four bytes and a code of sixteen bytes.
     Hmac,
 }
 
@@ -30,11 +30,11 @@ pub enum Tampering {
 struct Told {
     deed: Option<Tampering>,
     done: usize,
-    /// The longest input to the robot that was recorded on one connection.
+    /// The longest sequence of bytes that was sent to the robot on one connection.
     said: Vec<u8>,
 }
 
-/// Carries connections to one robot and manipulates records on them.
+/// A proxy in front of one robot that manipulates records to the robot.
 pub struct Tamperer {
     /// Port on which the tamperer listens.
     pub port: u16,
@@ -42,12 +42,12 @@ pub struct Tamperer {
     told: Arc<Mutex<Told>>,
 }
 
-/// Length in bytes above which a record is manipulated: such records contain scripts.
+/// Length in bytes above which a record counts as long. Such records contain scripts, and only they are manipulated.
 const LONG: usize = 500;
 
 impl Tamperer {
     /// Creates a tamperer for the robot at this port. On each connection, it manipulates the long record with this number, counted from
-    /// 1, if there is one.
+    /// 1. Long records have more than `LONG` bytes.
     pub fn to(robot: u16, wire: Wire, number: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
@@ -84,12 +84,12 @@ impl Tamperer {
         (told.deed, told.done) = (Some(deed), 0);
     }
 
-    /// Returns how many records were manipulated since the last order.
+    /// Returns the number of records that were manipulated since the last call of [`Self::does`].
     pub fn done(&self) -> usize {
         self.told.lock().unwrap().done
     }
 
-    /// Sends all messages of an earlier connection to the robot again. Returns the robot's output after its greeting.
+    /// Repeats to the robot everything that it received on an earlier connection. Returns the robot's output after its first line.
     pub fn said_again(&self) -> Vec<u8> {
         let said = self.told.lock().unwrap().said.clone();
         assert!(said.len() > LONG);
@@ -104,7 +104,7 @@ impl Tamperer {
     }
 }
 
-/// Carries one direction of a connection. Returns all bytes received.
+/// Carries the bytes of one direction of a connection, and manipulates the chosen record. Returns all bytes received.
 fn carry(mut from: TcpStream, mut to: &TcpStream, wire: Wire, number: usize, told: &Mutex<Told>) -> Vec<u8> {
     let (mut said, mut came, mut bytes) = (Vec::new(), Vec::new(), [0; 16 * 1024]);
     let (mut lines, mut long, mut held) = (0, 0, None::<Vec<u8>>);

@@ -5,14 +5,14 @@ use std::process::{Child, Stdio};
 
 use crate::session::{Ran, Session};
 
-/// Runs operators' commands to one robot.
+/// Runs the commands of operators that control one robot.
 pub struct Operators<'a> {
     session: &'a Session,
     robot: &'a str,
 }
 
 impl<'a> Operators<'a> {
-    /// Lets the operator `asking` request the robot's description, and writes a fleet with it.
+    /// Requests the robot's description as the operator `asking`, and writes it and a fleet file that refers to it.
     pub fn of(session: &'a Session, robot: &'a str, address: &str, asking: &str) -> Self {
         let own = Self { session, robot };
         session.file(&format!("{robot}.yaml"), own.by(asking, &["fleet", "describe", address]).out());
@@ -33,7 +33,7 @@ impl<'a> Operators<'a> {
         Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
     }
 
-    /// Writes a scenario whose last keyframe is at the time `last`.
+    /// Writes a scenario for the robot, with two keyframes: the first after 100 ms, and the second at the time `last`.
     pub fn scenario(&self, name: &str, last: &str) {
         let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
         let cue = format!("{{at: 0s, robots: {}, tracks: {{{track}}}}}", self.robot);
@@ -52,7 +52,7 @@ impl<'a> Operators<'a> {
     }
 }
 
-/// Checks that a running mission fails and that its report contains `words`.
+/// Checks that a running mission ends without success, and that its report contains `words`.
 #[track_caller]
 pub fn fails_with(mut playing: Child, words: &str) {
     let mut report = String::new();

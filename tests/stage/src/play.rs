@@ -1,4 +1,4 @@
-//! Missions of one act on robots with one device, which most trials need.
+//! Scenarios of one act for robots with one device, which are sufficient for most tests.
 
 use std::time::Duration;
 
@@ -38,7 +38,7 @@ impl Play {
         self.set_up(Stage::new(), vias)
     }
 
-    /// Returns a stage whose robots accept only TLS.
+    /// Returns a stage with a robot per element of `vias`. The robots accept only TLS.
     pub fn stage_with_keys(&self, vias: &[Via]) -> Stage {
         self.set_up(Stage::with_keys(), vias)
     }

@@ -13,13 +13,13 @@ use serde_json::Value;
 enum Flow {
     /// All messages pass.
     Open,
-    /// Connections stay open, and no messages pass. They are delivered later.
+    /// Connections stay open, and no messages pass. Messages are delivered when the link opens.
     Frozen,
     /// Connections stay open. Messages from the robot pass, but messages to it do not.
     Deaf,
     /// Connections stay open. Messages to the robot pass, but messages from it do not.
     Dumb,
-    /// All connections are closed, and new connections wait.
+    /// All connections are closed. New connections stay open and carry nothing.
     Interrupted,
     /// All connections are closed, and new connections are refused, as if no process listened.
     Cut,
@@ -39,7 +39,8 @@ struct Link {
     /// Number of connections that will still be reset after the first write to the robot.
     resets: u32,
     lines_lost: u32,
-    /// Number of the current generation of connections. Connections of earlier generations stay open, but carry nothing any longer.
+    /// Number of the current generation of connections, which [`Proxy::strand`] increases. Connections of earlier generations stay open,
+    /// but no longer carry anything.
     generation: u32,
     /// Keys that are removed from the robot's messages.
     without: &'static [&'static str],
@@ -56,7 +57,7 @@ struct Shared {
     changed: Condvar,
 }
 
-/// Carries connections to one robot through a link that fails on command.
+/// A proxy in front of one robot, whose link fails on command.
 pub struct Proxy {
     /// Port on which the proxy listens.
     pub port: u16,
@@ -68,7 +69,8 @@ impl Proxy {
         Self::carrying(robot, false)
     }
 
-    /// Creates a proxy with only an attacker's view of the link. It cannot rewrite messages, and loses arbitrary bytes instead of a line.
+    /// Creates a proxy that, like an attacker, sees only encrypted bytes. It cannot rewrite messages, and loses arbitrary bytes instead
+    /// of a line.
     pub fn encrypted_to(robot: u16) -> Self {
         Self::carrying(robot, true)
     }
@@ -192,14 +194,14 @@ impl Drop for Proxy {
     }
 }
 
-/// Direction in which lines pass the proxy.
+/// The direction of lines through the proxy.
 #[derive(Clone, Copy)]
 enum Way {
     ToRobot,
     FromRobot,
 }
 
-/// Sender of lines in flight with their arrival times, and the thread that delivers them.
+/// The sender of delayed lines, each with the time at which it is due, and the thread that delivers them.
 type UnderWay = (Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>);
 
 /// One direction of a connection. It writes lines at once; after the first delay, a thread writes them in order.

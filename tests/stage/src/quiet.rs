@@ -1,15 +1,15 @@
-//! Waits for events in other processes, and for times in which nothing may happen.
+//! Functions that wait for events in other processes, or check that nothing happens for some time.
 
 use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
 use crate::{Robot, Stage, epoch_nanos};
 
-/// Maximum time until an event must happen, however busy the machine is.
+/// Maximum wait for an event, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
-/// Waits until `holds` returns true, at most a minute.
+/// Waits until `holds` returns true. Panics after a minute.
 #[track_caller]
 pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     let began = Instant::now();

@@ -12,15 +12,15 @@ use serde_json::{Value, json};
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Floods {
     Never,
-    /// After any request.
+    /// After the first request of the mission, whatever its kind.
     AtOnce,
-    /// With its first availability response.
+    /// Together with its first availability response.
     WhenAvailable,
-    /// The contained time after the start of an accepted script.
+    /// This long after the start of an accepted script.
     AfterStarting(Duration),
 }
 
-/// Content of the flood that the robot sends.
+/// What the robot's flood consists of.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Flood {
     /// Lines that are not messages.
@@ -33,7 +33,8 @@ pub enum Flood {
     Blocks,
     /// A single line without an end.
     Line,
-    /// Responses to availability requests that were allegedly sent a minute ago. They would make leads and leases long.
+    /// Responses to availability requests that were allegedly sent a minute ago. If the scheduler believed them, its leads and leases
+    /// would become long.
     Answers,
 }
 
@@ -42,7 +43,7 @@ impl Flood {
         [Self::Garbage, Self::Failures, Self::Responses, Self::Blocks, Self::Line, Self::Answers];
 }
 
-/// A robot with the device `d` that listens on its own port. The threads end with their connections.
+/// A robot with the device `d` that listens on a port of its own. Its threads end with their connections.
 pub struct Raw {
     pub port: u16,
     heard: Arc<Mutex<Vec<String>>>,
@@ -82,13 +83,14 @@ impl Raw {
         Self { port, heard, said, asked_on }
     }
 
-    /// Returns the number of connections on which the robot's description was requested. A slow robot receives the request again on the
-    /// same connection.
+    /// Returns the number of connections on which the robot's description was requested. A repeated request on the same connection, as a
+    /// slow robot receives it, does not count.
     pub fn connections(&self) -> u64 {
         self.asked_on.load(Ordering::Relaxed)
     }
 
-    /// Returns the messages of this kind that the robot has received, without the name of the kind.
+    /// Returns the messages of this kind that the robot has received. The value under the name of the kind is returned, not the whole
+    /// message.
     pub fn heard(&self, kind: &str) -> Vec<Value> {
         let lines = self.heard.lock().unwrap();
         let of_kind = |line: &String| serde_json::from_str::<Value>(line).unwrap().get(kind).cloned();

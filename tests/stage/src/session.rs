@@ -1,4 +1,4 @@
-//! Runs Downbeat in a separate folder.
+//! Runs Downbeat in a temporary folder of its own.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -8,7 +8,8 @@ use tempfile::TempDir;
 
 use crate::held_up;
 
-/// Returns the path of Downbeat. Cargo builds it before the tests of its package, into the folder above theirs.
+/// Returns the path of the Downbeat program. Before the tests of its package, Cargo builds it in the folder above that of the test
+/// programs.
 pub fn program() -> &'static str {
     static PROGRAM: LazyLock<String> = LazyLock::new(|| {
         let test = std::env::current_exe().unwrap();
@@ -50,7 +51,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// Creates a fleet of two simulated arms, `left` and `right`, in the group `arms`.
+    /// Creates a session with a fleet of two simulated arms, `left` and `right`, in the group `arms`.
     pub fn new() -> Self {
         let session = Self { folder: TempDir::new().unwrap() };
         session.file("arm.yaml", ARM).file(
@@ -96,8 +97,7 @@ impl Session {
     }
 }
 
-/// Returns the option that makes a mission print the figures of each robot, which tests read. `None` if the arguments need no such
-/// option.
+/// Returns the option that makes a mission print the figures of each robot, which tests read. `None` if the command needs no such option.
 pub(crate) fn figures(args: &[&str]) -> Option<&'static str> {
     let is_mission = matches!(args.first(), Some(&("run" | "resume")));
     (is_mission && !args.contains(&"--verbose")).then_some("--verbose")

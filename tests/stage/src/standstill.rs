@@ -1,17 +1,17 @@
-//! Experiments that take seconds, on a machine that may stall for a moment.
+//! Experiments that take seconds, on a machine that may stall for a moment. An experiment is repeated if a stall explains its failure.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Minimum stall that explains a failure: a simulated robot starts a command that is up to 50 ms late.
+/// Minimum stall of this process that explains a failure. Shorter stalls explain none, because a simulated robot still starts a command
+/// that is up to 50 ms late.
 const EXPLAINS: Duration = Duration::from_millis(40);
 const MOST_TRIES: usize = 8;
 
-/// Repeats the experiment, at most eight times, until its result is right, or until this process was not stalled during the experiment.
-/// Returns the result.
+/// Repeats an experiment, at most eight times, until its result is right or no stall of this process explains a wrong result. Returns the
+/// last result.
 ///
-/// A wrong result leads to another attempt only if a stall explains it. Intermittent faults of the experiment itself are therefore
-/// detected.
+/// A wrong result without a stall is returned immediately. Intermittent faults of the experiment itself are therefore detected.
 pub fn undisturbed<T>(experiment: impl Fn() -> T, right: impl Fn(&T) -> bool) -> T {
     settled(|| watched(&experiment), right)
 }

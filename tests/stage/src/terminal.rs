@@ -1,4 +1,4 @@
-//! A terminal for a process under test. A test reads its output or leaves it unread, and types keys.
+//! A pseudoterminal for a process under test. A test reads its output or leaves it unread, and types keys.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -11,7 +11,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 
-/// A terminal, with both of its ends.
+/// A pseudoterminal: the end of the process under test, and the end of the test.
 pub struct Terminal {
     ours: OwnedFd,
     theirs: File,

@@ -1,5 +1,5 @@
-//! A small robot that speaks the Thrift form of URRCP. It implements the protocol byte by byte, so that the driver is not tested against
-//! the library that it uses. It supports the strict binary protocol and one connection at a time.
+//! A small robot that speaks the Thrift variant of URRCP, the robots' protocol. It implements the protocol byte by byte, so that the
+//! driver is not tested against the library that it uses. It supports the strict binary protocol and one connection at a time.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -17,7 +17,7 @@ const BOOL: u8 = 2;
 const DOUBLE: u8 = 4;
 const STRING: u8 = 11;
 
-/// A robot of the Thrift form that runs on a thread.
+/// A robot that speaks the Thrift variant of URRCP and runs in a thread.
 pub struct ThriftRobot {
     port: u16,
     stopped: Arc<AtomicBool>,
@@ -71,7 +71,7 @@ impl ThriftRobot {
     }
 }
 
-/// Reads one call. Logs the value that the call sets, or answers the call.
+/// Reads one call of the driver. Logs the value if the call sets one, otherwise answers the call.
 fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicBool) -> io::Result<()> {
     let [a, b, _, kind] = take(stream)?;
     while frozen.load(Ordering::SeqCst) {

@@ -8,36 +8,36 @@
 use std::time::{Duration, Instant};
 
 /// Time before a deadline at which a thread wakes if the cores are free. A thread that sleeps on an idle core of a virtual machine wakes
-/// late by this time.
+/// this much too late.
 const LEAD_FREE: Duration = Duration::from_micros(200);
-/// Margin for a thread that woke later than `LEAD_FREE` permits. For `LATE_REMEMBERED`, it wakes earlier by its delay plus this margin,
-/// up to `LEAD_MAX`.
+/// Margin that is added to the delay of a thread that woke too late. For the next `LATE_REMEMBERED`, the thread wakes this sum, but at
+/// most `LEAD_MAX`, before a deadline.
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
-/// Time before a deadline at which a thread wakes after a pause of at least `RESTED`, for example before a start. The core was halted,
-/// and its host may take long to resume it.
+/// Time before a deadline at which a thread wakes after a pause of at least `RESTED`, for example before a start. During the pause, the
+/// core was halted, and the host of a virtual machine may take long to resume it.
 const LEAD_RESTED: Duration = LEAD_MAX;
 const RESTED: Duration = Duration::from_millis(15);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
 /// Time before a deadline at which a thread wakes if the cores are busy: none. A thread that spins uses up its time slice and is then
 /// interrupted for milliseconds. A thread that sleeps until the deadline wakes only a tenth of a millisecond late.
 const LEAD_BUSY: Duration = Duration::ZERO;
-/// Time after an instant within which other processes have moved their robots that are due at this instant.
+/// Time that other processes need to move their robots that are due at the same instant as this thread's robots.
 const OTHERS_MOVE: Duration = Duration::from_micros(500);
-/// Minimum interval between two rests for other processes. A thread with many deadlines needs its time for messages.
+/// Minimum interval between two pauses that let other processes run. A thread with many deadlines needs the time in between for messages.
 const REST_EVERY: Duration = Duration::from_millis(20);
-/// Maximum duration of a yield to other robots. After a longer yield, another program must have used the core.
+/// Maximum duration of a yield to other robots. If a yield takes longer, another program must have used the core.
 const YIELD_MAX: Duration = Duration::from_micros(500);
 /// Time after a yield longer than `YIELD_MAX` in which the cores are considered busy, whatever a check reports.
 const DISTRUST: Duration = Duration::from_secs(1);
-/// Time for which the result of a check of the cores remains valid.
+/// Time for which the result of a check of the cores' load remains valid.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Longest time before a deadline at which the cores are checked; `LOOK_LATEST` is the shortest. Between these, a check disturbs no
-/// start.
+/// Earliest time, measured back from a deadline, at which the load of the cores is checked; `LOOK_LATEST` is the latest. A check between
+/// the two delays no start.
 const LOOK_EARLIEST: Duration = Duration::from_millis(12);
 const LOOK_LATEST: Duration = Duration::from_millis(4);
-/// Divisor of all time that yields the maximum time for spinning. Even a thread under real-time scheduling with a deadline every few
-/// microseconds thus leaves its core to others.
+/// Inverse of the maximum share of time that a thread may spend spinning: 4 means a quarter. Thus even a real-time thread with a deadline
+/// every few microseconds leaves its core to others.
 const SPIN_SHARE: u32 = 4;
 /// Maximum time of continuous spinning after a pause.
 const SPIN_CREDIT_MAX: Duration = Duration::from_millis(2);
@@ -56,7 +56,7 @@ pub(super) enum Cores {
 pub(super) enum Scheduled {
     /// The thread has the same priority as all other threads.
     Fairly,
-    /// The thread runs before all other threads. A yield reaches only threads of the same priority.
+    /// The thread runs before all ordinary threads. When it yields, only threads of the same priority can get the core.
     First,
 }
 
@@ -68,7 +68,8 @@ pub(super) struct Approach {
     looked: Option<Instant>,
     distrusted_until: Option<Instant>,
     rested: Option<Instant>,
-    /// Lead that the longest recent delay requires, and the time when it expires.
+    /// Time before a deadline at which the thread must wake because of its longest recent delay, and the instant at which this value
+    /// expires.
     late: Option<(Duration, Instant)>,
     /// Time when the thread last spun.
     spun: Option<Instant>,
@@ -95,8 +96,9 @@ impl Approach {
         self.scheduled == Scheduled::First
     }
 
-    /// Returns when to check the cores before this deadline. `None`: not before this deadline. Processes that wait for the same instant
-    /// must not check at the same time, because they would count each other. `chance`, from 0 to 1, spreads their checks.
+    /// Returns when to check the load of the cores before this deadline. `None`: no check is needed before it. Processes that wait for
+    /// the same instant must not check at the same time, because they would count each other. `chance`, from 0 to 1, spreads their
+    /// checks.
     pub(super) fn look_at(&self, now: Instant, deadline: Instant, chance: f64) -> Option<Instant> {
         let recently = |looked: Instant| now.saturating_duration_since(looked) < LOOK_EVERY;
         if self.scheduled == Scheduled::First || self.looked.is_some_and(recently) {
@@ -107,7 +109,7 @@ impl Approach {
         if before >= LOOK_LATEST { deadline.checked_sub(before) } else { None }
     }
 
-    /// Records the result of a check of the cores.
+    /// Records the result of a check of the cores' load.
     pub(super) const fn looked(&mut self, now: Instant, cores: Cores) {
         self.looked = Some(now);
         self.cores = cores;
@@ -138,7 +140,7 @@ impl Approach {
         }
     }
 
-    /// Whether the thread should let other threads run, now or while it spins.
+    /// Whether the thread should yield to other threads while it waits for a deadline.
     pub(super) fn yields(&self, now: Instant) -> bool {
         let trusted = || self.distrusted_until.is_none_or(|until| now >= until);
         self.scheduled == Scheduled::First || (self.cores == Cores::Free && trusted())
@@ -151,7 +153,7 @@ impl Approach {
         }
     }
 
-    /// Returns how long the thread should rest after a movement, so that other processes can move their robots. `next` is the next
+    /// Returns how long the thread should pause after a movement, so that other processes can move their robots. `next` is the next
     /// deadline.
     pub(super) fn rest(&mut self, now: Instant, next: Option<Instant>) -> Duration {
         let recently = |rested: Instant| now.saturating_duration_since(rested) < REST_EVERY;
@@ -194,7 +196,7 @@ mod tests {
         (Approach::new(Scheduled::Fairly), Instant::now())
     }
 
-    /// Returns the lead for a deadline ten milliseconds after another one.
+    /// Returns how long before a deadline the thread wakes if its previous deadline was ten milliseconds earlier.
     fn lead(approach: &mut Approach, now: Instant) -> Duration {
         approach.spun(now, Duration::ZERO);
         approach.lead(now, now + millis(10))

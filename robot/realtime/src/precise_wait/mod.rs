@@ -1,8 +1,8 @@
 //! Waits for a message or a deadline with microsecond precision. This is the only module that uses the operating system's timer.
 //!
 //! The thread sleeps on its channel until shortly before the deadline and then spins. The reason is that the system wakes a sleeper tens
-//! of microseconds late, even with the minimum timer slack. An asynchronous runtime's timer wheel wakes it a millisecond late. How it
-//! spins depends on the load of the machine ([`approach`]).
+//! of microseconds late, even with the minimum timer slack. The timer wheel of an asynchronous runtime wakes a sleeper a millisecond
+//! late. How the thread spins depends on the load of the machine ([`approach`]).
 #![expect(clippy::disallowed_methods, reason = "spins on the monotonic clock")]
 
 mod approach;
@@ -21,9 +21,9 @@ use crate::scheduling::Scheduling;
 /// Delay after which busy cores are checked again. Cores are considered busy only if both checks find them busy. The second check is
 /// still well before the deadline.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
-/// Minimum time before a deadline at which a thread may change its core.
+/// Minimum time before a deadline at which a thread may still move to another core.
 const STAY_FROM: Duration = Duration::from_millis(2);
-/// Time for which a thread yields to others after a movement, before it sleeps.
+/// Maximum time for which a thread yields to other threads after a movement, before it sleeps.
 const TURNS: Duration = Duration::from_micros(60);
 
 /// Reason why a wait ended.
@@ -42,8 +42,8 @@ pub enum Woken<T> {
 pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
-    /// The thread's core; only set under real-time scheduling. Without priority over all other threads, a thread that stays on one core
-    /// would wait for every program on that core.
+    /// The thread's core; set only under real-time scheduling. An ordinary thread that stays on one core would have to wait for every
+    /// other program on that core.
     place: Option<Place>,
 }
 
@@ -96,12 +96,13 @@ impl PreciseWait {
         woken
     }
 
-    /// Like [`PreciseWait::wait`], for a deadline without a movement: sleeps, and wakes with the system's delay.
+    /// Like [`PreciseWait::wait`], for a deadline at which nothing moves: sleeps without spinning, and thus wakes as late as the system
+    /// wakes it.
     pub fn wait_roughly<T>(&self, messages: &Receiver<T>, deadline: Instant) -> Woken<T> {
         sleep(messages, deadline)
     }
 
-    /// Spins until the deadline. Messages wait meanwhile, because an order that takes long would delay the start.
+    /// Spins until the deadline. Messages that arrive meanwhile must wait, because one that takes long to handle would delay the start.
     fn spin(&mut self, deadline: Instant) {
         let begun = Instant::now();
         loop {
@@ -114,7 +115,7 @@ impl PreciseWait {
     }
 
     /// Lets other processes move their robots at the same instant: first by yielding, then by sleeping. `next` is the next deadline; if
-    /// it is near, the time is shorter. Under real-time scheduling, yielding is sufficient.
+    /// it is near, the thread yields and sleeps for a shorter time. Under real-time scheduling, yielding is sufficient.
     pub fn let_others_move(&mut self, next: Option<Instant>) {
         let begun = Instant::now();
         let rest = self.approach.rest(begun, next);
@@ -169,7 +170,7 @@ impl Machine {
         Self { loads: File::open("/proc/loadavg").ok(), cores }
     }
 
-    /// Returns the load of the cores. If it is unknown, the cores are considered free until a yield shows otherwise.
+    /// Returns the load of the cores. If the load is unknown, the cores are considered free until a yield shows otherwise.
     fn cores(&self) -> Cores {
         let mut text = [0; 64];
         let read = self.loads.as_ref().and_then(|loads| loads.read_at(&mut text, 0).ok()).unwrap_or(0);
@@ -180,7 +181,8 @@ impl Machine {
     }
 }
 
-/// Parses the number of runnable threads, including this one: the fourth word of `/proc/loadavg`, as in `0.20 0.18 0.12 1/80 11206`.
+/// Parses the number of runnable threads, including this one. It precedes the slash in `/proc/loadavg`, for example 1 in the line
+/// `0.20 0.18 0.12 1/80 11206`.
 fn runnable(loads: &str) -> Option<usize> {
     loads.split(' ').nth(3)?.split_once('/')?.0.parse().ok()
 }

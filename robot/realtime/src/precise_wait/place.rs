@@ -13,12 +13,12 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Count of numbers on a host. Further threads get no number and choose no core.
+/// Maximum number of threads on a host that can reserve a number. Further threads get no number and choose no core.
 const NUMBERS: usize = 256;
-/// Time for which a result is cached: whether more threads wait than there are cores.
+/// Time for which a thread remembers whether more threads wait than there are cores.
 const REMEMBERED: Duration = Duration::from_secs(1);
 
-/// The number of a thread on its host, and the cores that it may use.
+/// The number that a thread has reserved on its host, and the cores on which the thread may run.
 #[derive(Debug)]
 pub(super) struct Place {
     /// The thread's number, and the socket that reserves it. `None` if the thread chooses no core.
@@ -26,12 +26,12 @@ pub(super) struct Place {
     /// The cores on which the thread may run.
     cores: Vec<usize>,
     is_kept: bool,
-    /// Whether more threads wait than there are cores, and the time of this result.
+    /// Whether more threads wait than there are cores, and when this was checked. `None` before the first check.
     crowded: Option<(bool, Instant)>,
 }
 
 impl Place {
-    /// Reserves a number for this thread.
+    /// Reserves a number for this thread. The number determines the thread's core.
     pub(super) fn of_this_thread() -> Self {
         let allowed = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
         let cores: Vec<_> = (0..CpuSet::MAX_CPU).filter(|core| allowed.is_set(*core)).collect();

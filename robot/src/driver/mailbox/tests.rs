@@ -34,7 +34,7 @@ fn confirm(ticket: u64, device: &str) -> Order {
     Order::Confirm(Ticket(ticket), id(device))
 }
 
-/// Returns an order to cancel a script. Like a script, it keeps its position among the values.
+/// Returns an order to cancel a script. The mailbox keeps its position relative to values, as for a script.
 fn plan(device: &str) -> Order {
     let (plan, then) = (crate::PlanId(1), crate::Then::Keep);
     let cancel = PlanCancel { plan, device: id(device), then, why: String::new() };
@@ -51,7 +51,7 @@ fn empty() -> Mailbox {
     Mailbox::stopped_at(Instant::now())
 }
 
-/// Returns a mailbox with its first connection and these orders.
+/// Returns a mailbox that has its first connection and contains these orders.
 fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
     let mailbox = empty();
     mailbox.connected(1, MANNERS);

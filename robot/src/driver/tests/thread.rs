@@ -6,7 +6,7 @@ use super::*;
 use crate::hardware::ReadingId;
 use crate::tolerance::STALE;
 
-/// Hardware whose calls the test answers.
+/// Test hardware: the test determines the answer to each call.
 struct Told<F> {
     answer: F,
     pushes: Option<Pushes>,

@@ -94,8 +94,8 @@ fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
     assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0), "it stays");
 }
 
-/// Returns the robot's reports about the command `a` of a device after its end, during a minute without messages. After 150 ms, the
-/// device may be cancelled.
+/// Returns the reports about the command `a` of a device that follow the report of its end, within a minute without messages. If
+/// `cancels`, the device is cancelled after 150 ms.
 fn reported_after_the_end(device: &str, command: Command, cancels: bool) -> Vec<String> {
     let mut bench = Bench::new();
     bench.request(ControlRequest {

@@ -56,7 +56,7 @@ impl Bench {
         self.responses().last().unwrap()
     }
 
-    /// Sends the script of the paper to `arm`, with a start after one second.
+    /// Sends the script from the paper on the protocol to `arm`, with a start after one second.
     fn paper(&mut self) {
         self.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     }

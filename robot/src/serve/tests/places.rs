@@ -13,7 +13,7 @@ fn tickets(places: &Arc<Places>, count: usize) -> Vec<Ticket> {
     (0..count).map(|i| places.admit(&peer(i)).unwrap()).collect()
 }
 
-/// Returns the indices of the connections that were asked to end.
+/// Returns the indices of the connections that were asked to close.
 async fn hung_up(tickets: &[Ticket]) -> Vec<usize> {
     let mut gone = Vec::new();
     for (i, ticket) in tickets.iter().enumerate() {

@@ -15,7 +15,7 @@ use super::{Change, Presence, matched, out_of_order};
 pub struct PlanDifferences {
     /// Whether the plans are equal, that is, their hashes match.
     pub same: bool,
-    /// The hash of each plan, over everything that is compared.
+    /// The hash of each plan, computed over all content that is compared.
     pub(crate) hash: Both<ContentHash>,
     pub(crate) scenario: Option<Change<String>>,
     /// Robots that play in the second plan, but in no act of the first.
@@ -25,7 +25,7 @@ pub struct PlanDifferences {
     pub(crate) acts: Vec<ActDifferences>,
 }
 
-/// A pair of values, one of each plan, which may be equal.
+/// A value of the first plan, `a`, and the corresponding value of the second plan, `b`. The values may be equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Both<T> {
     pub(crate) a: T,
@@ -38,7 +38,7 @@ pub(crate) struct ActDifferences {
     /// The name of the act; empty if the scenario does not define acts.
     pub(crate) act: String,
     pub(crate) presence: Presence,
-    /// The position of the act in each plan, from 1; `None` if the order is unchanged.
+    /// The position of the act in each plan, counted from 1. `None` if the act has not moved relative to the other acts.
     pub(crate) place: Option<Change<usize>>,
     pub(crate) duration_ms: Option<Change<Span>>,
     pub(crate) settings: Vec<Setting>,
@@ -51,7 +51,8 @@ pub(crate) struct ActDifferences {
     pub(crate) readings_added: Vec<PlannedReading>,
     pub(crate) readings_removed: Vec<PlannedReading>,
     pub(crate) closest: Option<Change<Option<Closest>>>,
-    /// Differences in the speeds of robots' bodies, by robot.
+    /// The robots whose bodies have different maximum speeds or accelerations in the two plans. A value is `None` if only the other plan
+    /// has the body.
     pub(crate) bodies: Vec<Change<Option<BodyUse>>>,
 }
 
@@ -68,7 +69,7 @@ pub(crate) struct Setting {
 pub(crate) struct CueDifference {
     pub(crate) cue: String,
     pub(crate) presence: Presence,
-    /// The start of the cue in the second plan, or in the first plan if only that has the cue; from the act's start.
+    /// Time from the act's start to the start of the cue in the second plan. If only the first plan has the cue, the time in that plan.
     pub(crate) at_ms: Span,
     pub(crate) start_ms: Option<Change<Span>>,
     pub(crate) duration_ms: Option<Change<Span>>,
@@ -101,7 +102,7 @@ fn without<T: Clone + PartialEq>(all: &[T], others: &[T]) -> Vec<T> {
     all.iter().filter(|one| !others.contains(one)).cloned().collect()
 }
 
-/// Returns the readings in `all` that have no counterpart in `others`.
+/// Returns the planned sensor readings in `all` that have no counterpart in `others`.
 fn beyond(all: &[PlannedReading], others: &[PlannedReading]) -> Vec<PlannedReading> {
     let pairs = matched(all, others, |reading| (&reading.robot, &reading.sensor, reading.at));
     pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()
@@ -180,14 +181,15 @@ fn used<'a>((act, (_, fleet)): Side<'a>) -> Devices<'a> {
     Devices::of(act, fleet)
 }
 
-/// The two closest robots in an order that is independent of the fleet file.
+/// Returns the pair of robots that come closest to each other in an act. Sorts the pair by id, so that it does not depend on the fleet
+/// file.
 fn closest(act: &Act) -> Option<Closest> {
     let mut closest = act.in_space.closest.clone()?;
     closest.robots.sort();
     Some(closest)
 }
 
-/// Creates an empty act, with which an act that only one plan has is compared.
+/// Creates an empty act. An act that only one plan has is compared with it.
 fn empty_act() -> Act {
     let plan = downbeat_scripts::Plan {
         scenario: String::new(),
@@ -237,10 +239,10 @@ fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> 
     })
 }
 
-/// Prefix of the names of settings that contain the path of a body as a hash. The differences of steps show the details.
+/// Prefix of the settings that represent the path of a robot's body by a hash. The step differences show how the paths differ.
 pub(super) const PATH: &str = "path of ";
 
-/// The properties of an act other than its cues and scripts. References to following acts are given by name.
+/// Returns the properties of an act other than its cues and scripts. References to following acts are given by name.
 fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
     let named = |index: usize| choreography.acts.get(index).map(|act| act.name.clone());
     let way = |way: Way| match way {
@@ -288,7 +290,7 @@ fn changed(a: BTreeMap<String, Value>, b: &BTreeMap<String, Value>) -> Vec<Setti
     all.into_iter().map(|(setting, change)| Setting { setting, change }).collect()
 }
 
-/// SHA-256 over everything that is compared, independent of the order in the fleet file.
+/// Computes the SHA-256 hash of everything that is compared in a plan. It does not depend on the order of entries in the fleet file.
 pub(crate) fn hash(choreography: &Choreography) -> ContentHash {
     let acts: Vec<Value> = choreography.acts.iter().map(|act| content(act, choreography)).collect();
     ContentHash::of(json!({ "scenario": choreography.scenario, "acts": acts }).to_string().as_bytes())

@@ -1,4 +1,4 @@
-//! Lists the differences between two missions that were played, for a page.
+//! Lists the differences between two past missions for a browser page.
 
 use urrcp::Span;
 
@@ -6,7 +6,7 @@ use super::Presence;
 use super::runs::{RunAct, RunDifferences, RunRobot, ScriptDifferences};
 use super::text::{Entry, change, figure, outcome, robot_row, script_row, word};
 
-/// A difference, after the number of the act's repetition that it belongs to, from 1.
+/// A difference, preceded by the repetition (from 1) of the act that it belongs to.
 pub(crate) type Listed = (usize, Entry);
 
 /// Lists all differences. Those that belong to no act come first.
@@ -63,7 +63,7 @@ fn script_text(script: &ScriptDifferences) -> String {
     labelled(&["", "start", "steps", "added", "removed", "changed"], &script_row(script)[1..])
 }
 
-/// Joins the cells that are not empty, each after its label.
+/// Joins the cells that are not empty. Each is preceded by its label.
 fn labelled(labels: &[&str], cells: &[String]) -> String {
     let says = labels.iter().zip(cells).filter(|(_, cell)| !matches!(cell.as_str(), "-" | ""));
     says.map(|(label, cell)| format!("{label} {cell}").trim_start().to_owned()).collect::<Vec<_>>().join(", ")

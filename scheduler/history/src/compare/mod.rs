@@ -21,7 +21,7 @@ pub(crate) struct Change<T> {
 }
 
 impl<T: PartialEq> Change<T> {
-    /// Creates a change; `None` if the values are equal.
+    /// Creates a change from `a` to `b`; `None` if the values are equal.
     fn of(a: T, b: T) -> Option<Self> {
         (a != b).then_some(Self { a, b })
     }
@@ -74,7 +74,7 @@ fn matched<'a, T, K: Ord>(
     pairs
 }
 
-/// For each of the distinct `numbers`: whether it is out of order, that is, not in a longest increasing subsequence.
+/// Returns whether each of the distinct `numbers` is out of order, that is, not part of a longest increasing subsequence.
 fn out_of_order(numbers: &[usize]) -> Vec<bool> {
     // `rows`: the last index of the best sequence of each length. `before`: the predecessor of each number in its best sequence.
     let mut rows: Vec<usize> = Vec::new();

@@ -1,4 +1,4 @@
-//! The acts of a mission that was played, according to its journal or its recording.
+//! The acts of a past mission, according to its journal or its recording.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,11 +9,11 @@ use urrcp::{ContentHash, Millis, RequestId, Server, Setpoint, Span, Timestamp};
 use super::steps::{Movement, TimedStep};
 use crate::history::History;
 
-/// An act of a mission that was played: it was sent or skipped.
+/// An act that a past mission sent or skipped.
 #[derive(Debug)]
 pub(super) struct PlayedAct<'a> {
     pub(super) name: String,
-    /// Number of earlier acts with the same name.
+    /// Number of earlier acts of the mission with the same name.
     pub(super) before: usize,
     pub(super) fate: String,
     pub(super) report: Option<&'a ActReport>,
@@ -24,11 +24,11 @@ pub(super) struct PlayedAct<'a> {
 /// A script that was sent to a robot.
 #[derive(Clone, Debug)]
 pub(super) struct SentScript {
-    /// The start of the script, from the act's start.
+    /// Time from the act's start to the start of the script.
     pub(super) start: Millis,
     pub(super) content_hash: ContentHash,
     request: RequestId,
-    /// The start of the act, by the clock with which the steps of the script are recorded.
+    /// The start of the act by the robot's clock, in which the due times of the script's steps are recorded.
     origin: Timestamp<Server>,
 }
 
@@ -112,7 +112,7 @@ fn scripts(history: &History, promise: &Promise) -> BTreeMap<(String, String), V
     scripts
 }
 
-/// The steps of a device in an act, from a recording; `None` if the recording lacks any of them.
+/// Returns the steps of a device in an act, from a recording; `None` if the recording lacks any of them.
 pub(super) fn movement(
     history: &History,
     robot: &str,

@@ -18,14 +18,14 @@ pub struct RunDifferences {
     /// Whether the missions are equal.
     pub same: bool,
     pub(crate) scenario: Option<Change<Option<String>>>,
-    /// The outcomes, if they differ; an unknown outcome is `null`.
+    /// The outcomes of both missions, if they differ. An unknown outcome is `null` in JSON.
     pub(crate) outcome: Option<Change<Option<Outcome>>>,
     /// The acts that differ, in the order of the first mission, followed by the acts that only the second mission has.
     pub(crate) acts: Vec<RunAct>,
     /// Robots that only the second mission left out.
     pub(crate) dropped_added: Vec<String>,
     pub(crate) dropped_removed: Vec<String>,
-    /// Differences in the reasons why robots failed.
+    /// The robot failures that only one of the missions has.
     pub(crate) failures: FailureDifferences,
 }
 
@@ -45,7 +45,7 @@ pub(crate) struct RobotFailure {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct RunAct {
     pub(crate) act: String,
-    /// The repetition of an act that was played several times, from 1.
+    /// Number of this repetition of the act in its mission, from 1.
     pub(crate) time: usize,
     pub(crate) presence: Presence,
     pub(crate) fate: Option<Change<String>>,
@@ -55,12 +55,12 @@ pub(crate) struct RunAct {
     pub(crate) scripts: Vec<ScriptDifferences>,
 }
 
-/// A measurement in milliseconds of two missions. The closer it is to 0, the better.
+/// The same measurement in two missions, in milliseconds. The closer a value is to 0, the better.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Figure {
     pub(crate) a: Option<f64>,
     pub(crate) b: Option<f64>,
-    /// Whether the second value is better. `None` if a value is unknown, or if both are equally far from 0.
+    /// Whether the value of the second mission is better. `None` if a value is unknown, or if both are equally far from 0.
     pub(crate) better: Option<bool>,
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct RunRobot {
     pub(crate) robot: String,
     pub(crate) presence: Presence,
     pub(crate) left_out: Option<Change<bool>>,
-    /// The start error with the largest absolute value among the robot's scripts.
+    /// The start error of the robot's script that deviates most from its planned start.
     pub(crate) start_error_ms: Option<Figure>,
     pub(crate) steps_done: Option<Change<u64>>,
     pub(crate) late_steps: Option<Change<u64>>,
@@ -80,7 +80,7 @@ pub(crate) struct RunRobot {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct StateChange {
     pub(crate) device: String,
-    /// The states of the device's scripts, one per script.
+    /// The states of the device's scripts in each mission, one state per script.
     #[serde(flatten)]
     pub(crate) states: Change<Vec<DeviceState>>,
 }
@@ -90,7 +90,7 @@ pub(crate) struct ScriptDifferences {
     pub(crate) robot: String,
     pub(crate) device: String,
     pub(crate) presence: Presence,
-    /// When the device's first script starts, in milliseconds from the act's start.
+    /// The start of the device's first script in each mission, in milliseconds from the act's start, if they differ.
     pub(crate) start_ms: Option<Change<f64>>,
     /// The differences in the steps; `None` if a file does not contain the steps.
     pub(crate) steps: Option<StepDifferences>,

@@ -17,22 +17,22 @@ pub(crate) struct DeviceDifferences {
     pub(crate) presence: Presence,
     /// The unit of the device, if the fleet file states one.
     pub(crate) unit: Option<String>,
-    /// When the device's first script starts, from the act's start.
+    /// Time from the act's start to the start of the device's first script in each plan, if these times differ.
     pub(crate) start_ms: Option<Change<Millis>>,
-    /// The numbers of scripts, if they differ.
+    /// The number of scripts of the device in each plan; `None` if the numbers are equal.
     pub(crate) scripts: Option<Change<usize>>,
-    /// Whether the steps are the same, but divided differently into scripts.
+    /// Whether the plans divide the same steps into scripts differently.
     pub(crate) divided: bool,
-    /// The leases of the device's scripts, if they differ.
+    /// The leases of the device's scripts in each plan; `None` if they are equal.
     pub(crate) leases: Option<Change<Vec<StopCondition>>>,
     #[serde(flatten)]
     pub(crate) steps: StepDifferences,
-    /// The origins of the steps, if they differ.
+    /// How the device's steps were computed and compare with its limits, in each plan. `None` if both plans agree.
     #[serde(rename = "use")]
     pub(crate) used: Option<Change<Option<DeviceUse>>>,
 }
 
-/// The scripts of an act by device, and the uses of the devices.
+/// The scripts of an act, and the data about their computation, by device.
 pub(super) struct Devices<'a> {
     act: &'a Act,
     scripts: HashMap<(&'a RobotId, &'a DeviceId), Vec<&'a DeviceScript>>,
@@ -123,7 +123,7 @@ fn device(key: (&RobotId, &DeviceId), of_a: &Devices<'_>, of_b: &Devices<'_>) ->
 }
 
 impl DeviceDifferences {
-    /// The time of the first step that differs, from the act's start; zero if no step differs.
+    /// Time from the act's start to the first step that differs; zero if no step differs.
     pub(crate) fn at(&self) -> Span {
         let step = self.steps.first().and_then(|step| step.b.as_ref().or(step.a.as_ref()));
         step.map_or(Span::ZERO, |step| step.at_ms)

@@ -26,17 +26,19 @@ pub(super) struct TimedStep {
 /// The differences between the steps of a device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct StepDifferences {
-    /// The numbers of steps, if they differ.
+    /// The number of steps on each side; `None` if the numbers are equal.
     pub(crate) count: Option<Change<usize>>,
     pub(crate) added: usize,
     pub(crate) removed: usize,
-    /// Number of steps at the same time, but with a different value, control type or lease.
+    /// Number of steps that have the same time on both sides, but a different value, control type or lease.
     pub(crate) value_changed: usize,
-    /// Number of steps with the same value, but at a different time.
+    /// Number of steps that have the same value on both sides, but a different time.
     pub(crate) time_changed: usize,
-    /// Number of steps with a different time and value, where both sides have a single step between two equal ones.
+    /// Number of paired steps that differ in time and value. Steps are paired in order if both sides have equally many left before the
+    /// next common time.
     pub(crate) both_changed: usize,
-    /// The delay by which all steps are shifted; `None` unless they are otherwise equal.
+    /// The time by which all steps are later on the second side; negative if they are earlier. `None` unless the steps are otherwise
+    /// equal.
     pub(crate) shifted_by_ms: Option<Span>,
     pub(crate) largest: Option<Largest>,
     /// The steps that differ, in order of time.
@@ -144,8 +146,7 @@ pub(super) fn compare(a: &Movement, b: &Movement) -> StepDifferences {
     found
 }
 
-/// Matches the steps that differ. Steps at the same time correspond. Between two such times, steps with equal values correspond, in their
-/// order.
+/// Pairs the steps that differ. Steps at the same time correspond. Between two such times, steps with equal values correspond, in order.
 fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDifferences) {
     while !left.is_empty() || !right.is_empty() {
         let (until_left, until_right) = next_common(left, right);
@@ -160,7 +161,7 @@ fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDiff
     }
 }
 
-/// Number of steps on each side before the next time at which both sides have a step.
+/// Returns the number of steps on each side before the next time at which both sides have a step.
 fn next_common(left: &[TimedStep], right: &[TimedStep]) -> (usize, usize) {
     let (mut i, mut j) = (0, 0);
     while let Some((a, b)) = left.get(i).zip(right.get(j)) {
@@ -279,8 +280,8 @@ mod tests {
         Movement { steps: points.iter().map(step).collect(), linear: true }
     }
 
-    /// Compares two movements and checks the numbers of differences. `expected`: added, removed, changed value, changed time, both
-    /// changed.
+    /// Compares two movements and checks the numbers of differences. `expected` contains the numbers of added and removed steps, and of
+    /// steps with a changed value, a changed time, or both.
     #[track_caller]
     fn check(a: &[(i64, f64)], b: &[(i64, f64)], expected: [usize; 5]) -> StepDifferences {
         let found = compare(&movement(a), &movement(b));

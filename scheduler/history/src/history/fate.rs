@@ -57,7 +57,8 @@ pub fn fate_text(report: &ActReport) -> &'static str {
     }
 }
 
-/// When the act that was sent at `sent` was over, or a stop of all robots began.
+/// Returns when the act that was sent at `sent` ended, or when a stop of all robots began, whichever came first. `None` if neither
+/// happened.
 pub(crate) fn over<'a>(
     mut happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     name: &str,

@@ -43,11 +43,11 @@ pub struct History {
     /// The messages to the operator, with their times; empty for a journal.
     pub(crate) told: Vec<(Timestamp<Server>, Progress)>,
     pub(crate) robots: Vec<KnownRobot>,
-    /// The subject of each topic of the recording; `None` for topics without one.
+    /// What each topic of the recording is about; `None` for topics that contain no known data of a robot.
     routes: HashMap<String, Option<Route>>,
 }
 
-/// The robot, the device and the kind of data that a topic of a recording is about.
+/// The robot and device that a topic of a recording concerns, and the kind of data in the topic.
 #[derive(Clone, Debug)]
 struct Route {
     robot: usize,
@@ -79,15 +79,15 @@ pub enum HistorySource {
 pub(crate) struct KnownRobot {
     pub(crate) id: RobotId,
     pub(crate) init: Option<InitializationBlock>,
-    /// Steps of scripts with their due times, by device and request id.
+    /// The planned steps of scripts with their due times, by device and request id.
     pub(crate) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
-    /// The reported values with their arrival times, by device.
+    /// The values that the robot reported, with their arrival times, by device.
     pub(crate) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
-    /// Clock measurements: the time, and the offset and the round trip in milliseconds.
+    /// The clock measurements. Each consists of its time, the clock offset in milliseconds, and the round trip in milliseconds.
     pub(crate) clock: Vec<(Timestamp<Server>, f64, f64)>,
-    /// The exchanges of a question and an answer with the robot's timestamps.
+    /// The questions that the robot answered with its timestamps, each with its answer.
     pub(crate) exchanges: Vec<Exchange>,
-    /// Recorded send times of unanswered questions, by the kind and the own timestamp of the question.
+    /// The recorded send times of unanswered questions, by the kind of the question and the timestamp that it contains.
     open: HashMap<(Question, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
     /// The readings of sensors with their arrival times, by device.
     pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
@@ -106,11 +106,11 @@ pub(crate) struct Exchange {
     pub(crate) received: Timestamp<Server>,
 }
 
-/// Maximum time by which a message may have departed before it was recorded, unless the machine was busy. Older recordings noted a
-/// message after it was passed to its link, which may already have sent it.
+/// Maximum time from the departure of a message until it was recorded, unless the machine was busy. Older versions recorded a message
+/// only after they had passed it to its link, which may have sent it at once.
 const NOTED_WITHIN: Span = Span::from_millis(1);
 
-/// The kinds of messages whose answers contain the timestamps of an exchange.
+/// The kinds of questions that a robot answers with its timestamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Question {
     Availability,
@@ -158,7 +158,7 @@ pub enum NoHistory {
     },
 }
 
-/// An event of a mission: a message to the operator or, if only the journal is available, a record of it.
+/// An event of a mission: a message to the operator or, if only the journal is available, a record of the journal.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Happened<'a> {
     Told(&'a Progress),
@@ -170,7 +170,7 @@ pub(crate) enum Happened<'a> {
 pub(crate) struct EndedAct<'a> {
     pub(crate) report: &'a ActReport,
     pub(crate) fate: &'a ActFate,
-    /// Whether the act was withdrawn in order to be prepared again.
+    /// Whether the act was withdrawn (cancelled before its start) in order to be prepared again.
     pub(crate) again: bool,
 }
 
@@ -181,9 +181,9 @@ pub struct HistoryReport<'a> {
     pub scenario: Option<&'a str>,
     /// The outcome of the mission; `None` if its end is not known.
     pub outcome: Option<&'a Outcome>,
-    /// The planned start of the first act; `None` if there was none.
+    /// The planned start of the first act; `None` if no act was sent.
     pub start: Option<Timestamp<Server>>,
-    /// The largest spread of starts in an act; `None` if it is not known.
+    /// The largest spread of an act: the time between the starts of its first and its last robot. `None` if it is not known.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
     /// The reports of the acts that have ended, without attempts that were withdrawn and repeated.
@@ -216,7 +216,7 @@ impl History {
         })
     }
 
-    /// The promised acts, each with the time of its record.
+    /// Returns the acts that were promised (recorded before they were sent), each with the time of its record.
     pub(crate) fn promises(&self) -> impl Iterator<Item = (Timestamp<Server>, &Promise)> {
         self.records.iter().filter_map(|(at, record)| match record {
             Record::Prepared(promise) => Some((*at, promise)),
@@ -386,7 +386,7 @@ impl History {
         Ok(())
     }
 
-    /// Determines the scenario's name from the first request id: it is the part of the session before the `@`.
+    /// Determines the scenario's name from the first request id: the part before the first `@` or `/`. `None` if no script was promised.
     fn first_name(&self) -> Option<String> {
         let id = self.promises().next()?.1.scripts.first()?.request_id.as_str();
         Some(id.split(['@', '/']).next()?.to_owned())
@@ -456,8 +456,8 @@ impl History {
         Some(Route { robot, device, kind })
     }
 
-    /// Determines the robot that a topic belongs to, although robot ids may contain slashes. The robot is already known, because its own
-    /// messages precede those of its devices.
+    /// Determines which part of a topic is the robot id. Ids may contain slashes, so this takes the longest id of a known robot that the
+    /// topic begins with. The robot is usually known, because its own messages precede those of its devices.
     fn named<'t>(&self, of_robot: &'t str) -> &'t str {
         let begins = |id: &str| of_robot.strip_prefix(id).is_some_and(|rest| rest.starts_with('/'));
         let known = self.robots.iter().map(|robot| robot.id.as_str()).filter(|id| begins(id));
@@ -480,7 +480,7 @@ impl KnownRobot {
         Self { id, init, planned, reported, clock, exchanges, open, readings }
     }
 
-    /// Stores the send time of a request that the robot may answer with its timestamps.
+    /// Stores the send time of a request if the robot may answer it with timestamps.
     fn is_asked(&mut self, at: Timestamp<Server>, request: &Message) {
         let question = match request {
             Message::AvailabilityRequest(request) => (Question::Availability, request.timestamp),
@@ -508,7 +508,8 @@ impl KnownRobot {
         }
     }
 
-    /// Pairs an answer with its question. If the question waited on this machine, uses the departure time, as far as that is certain.
+    /// Pairs an answer with its question. The send time is the timestamp in the question or, if it was recorded more than `NOTED_WITHIN`
+    /// later, the time of the record minus `NOTED_WITHIN`.
     fn answers(
         &mut self,
         question: Question,
@@ -534,7 +535,7 @@ impl KnownRobot {
     }
 }
 
-/// Whether Downbeat writes to this topic.
+/// Whether the message belongs to a topic of Downbeat.
 fn is_ours(message: &mcap::Message<'_>) -> bool {
     ["/mission/", "/robots/"].iter().any(|prefix| message.channel.topic.starts_with(prefix))
 }
@@ -544,14 +545,14 @@ fn version_of(message: &mcap::Message<'_>) -> Option<u32> {
     message.channel.metadata.get(VERSION_KEY)?.parse().ok()
 }
 
-/// A recording has an unsupported version. Contains the version; `None` if the recording states none.
+/// The error that a recording has an unsupported version. Contains that version; `None` if the recording states none.
 struct OtherVersion(Option<u32>);
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Writes a recording that contains the end of a mission, with `metadata`.
+    /// Writes a recording with `metadata` and a single record: the end of a mission.
     fn recording(path: &Path, metadata: &BTreeMap<String, String>) {
         let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
         let channel_id = writer.add_channel(0, "/mission/decisions", "json", metadata).unwrap();

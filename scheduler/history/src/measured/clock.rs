@@ -1,4 +1,5 @@
-//! Measures a robot's clock from its exchanges and from the time shifts of its promised scripts.
+//! Measures a robot's clock from timestamped questions and answers, and from the time shifts of the scripts that were promised to the
+//! robot.
 
 use serde::Serialize;
 use urrcp::{RobotId, Server, Span, Timestamp};
@@ -7,30 +8,32 @@ use super::line::{ClockLine, counts_in};
 use crate::history::{Exchange, History};
 use downbeat_mission::clock::{ClockEstimate, ClockSample};
 
-/// Largest uncertainty, as a fraction, with which a drift is reported even if it may be zero: half of the drift that any clock may have.
+/// Largest uncertainty, as a fraction, with which a drift is reported although the true drift may be zero. It is half of the maximum
+/// drift that is assumed for any clock.
 const DRIFT_KNOWN: f64 = 50e-6;
 
 /// The measured properties of a robot's clock.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClockMeasured {
-    /// How the robot's time is reconciled with the server's, according to the shifts of timestamps in its scripts. `None`: the robot
-    /// received no script.
+    /// How the robot's time is reconciled with the server's, as derived from the time shifts of its scripts. `None` if the robot received
+    /// no script.
     pub follows: Option<Follows>,
     /// The robot's clock minus the server's clock when the mission began.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// Uncertainty of the offset, for any asymmetry of the network path. `None`: unknown, because the source is a journal.
+    /// Uncertainty of the offset, which covers any asymmetry of the network path. `None` if it is unknown, because the source is a
+    /// journal.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Option<Span>,
-    /// Lower bound on the largest absolute offset. `None` if no exchange rules out an offset of zero.
+    /// Lower bound on the largest absolute offset during the mission. `None` if every exchange is consistent with an offset of zero.
     #[serde(rename = "surely_off_ms")]
     pub surely_off: Option<Span>,
-    /// Drift relative to the server's clock. `None`: the exchanges do not determine the drift.
+    /// Drift relative to the server's clock. `None` if the exchanges do not determine it.
     #[serde(flatten)]
     pub drift: Option<DriftMeasured>,
     /// Number of exchanges that the measurement is based on.
     pub exchanges: usize,
-    /// Number of times that an exchange contradicted earlier ones, because the clock was set.
+    /// Number of times that the clock was set, recognized by exchanges that contradict earlier ones.
     pub steps: u32,
     /// The largest deviation of a script's start from its planned start, by the robot's own clock.
     #[serde(rename = "start_error_ms")]
@@ -43,14 +46,14 @@ pub struct ClockMeasured {
 pub enum Follows {
     /// The robot's clock follows NTP, so the timestamps sent to it were not shifted.
     Ntp,
-    /// The scheduler measured the robot's clock and translated the times in its messages to it.
+    /// The scheduler measured the robot's clock and converted the times in its messages to that clock.
     Measured,
 }
 
 /// A measured drift in parts per million, with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DriftMeasured {
-    /// The most likely drift: the value with the largest distance from the bounds of all exchanges.
+    /// The most likely drift: that of the line with the largest distance from the bounds of all exchanges.
     #[serde(rename = "drift_ppm")]
     pub ppm: f64,
     /// Lower bound on the true drift.
@@ -70,7 +73,7 @@ impl DriftMeasured {
 }
 
 impl ClockMeasured {
-    /// Measures a clock; `None` if neither exchanges nor shifts of timestamps give information about it.
+    /// Measures a clock; `None` if neither exchanges nor time shifts of scripts provide information about it.
     pub(super) fn of(
         exchanges: &[Exchange],
         line: Option<&ClockLine>,
@@ -113,10 +116,10 @@ fn sample(exchange: &Exchange) -> ClockSample {
     ClockSample::from_exchange(sent, robot_received, robot_sent, received)
 }
 
-/// Information about a robot's clock from the decisions of a mission.
+/// Information about a robot's clock from the recorded decisions of a mission.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Told {
-    /// The first shift of the timestamps in the robot's scripts; zero if none was shifted. `None` if the robot received no script.
+    /// The first nonzero time shift of the robot's scripts; zero if no script was shifted. `None` if the robot received no script.
     shift: Option<Span>,
     start_error: Option<Span>,
 }

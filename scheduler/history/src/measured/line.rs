@@ -1,5 +1,5 @@
-//! The line that a robot's clock follows relative to the server's, between the bounds of all exchanges. `docs/measured.md` describes the
-//! method and its sources.
+//! Models the offset of a robot's clock from the server's as a line over time, which lies between bounds from all exchanges.
+//! `docs/measured.md` describes the method and its sources.
 
 use std::ops::Neg;
 
@@ -10,11 +10,11 @@ use downbeat_mission::clock::resolution;
 
 /// Fastest drift that the search covers, as a fraction. It exceeds the drift of any real clock, and is the maximum for a simulated clock.
 const RATE_MAX: f64 = 0.1;
-/// Minimum number of exchanges, and minimum time that they cover, to measure a drift. With less data, a drift is indistinguishable from
-/// varying delays and is assumed to be zero.
+/// Minimum number of exchanges, and minimum time that they cover, to measure a drift. With less data, a drift cannot be distinguished
+/// from varying delays and is assumed to be zero.
 const EXCHANGES_FOR_DRIFT: usize = 20;
 const TIME_FOR_DRIFT: Span = Span::from_millis(1_000);
-/// Number of steps of the ternary search. The remaining range of rates moves a clock by less than a nanosecond per hour.
+/// Number of steps of the search for a rate. The range of rates that remains afterwards corresponds to less than a nanosecond per hour.
 const CUTS: usize = 100;
 
 /// The offset of a robot's clock from the server's, as a line over time.
@@ -25,22 +25,22 @@ pub(super) struct ClockLine {
     offset: f64,
     /// Drift of the clock as a fraction.
     pub(super) rate: f64,
-    /// The range of rates for which a line fits between the bounds. `None`: no search took place.
+    /// The range of rates for which a line fits between the bounds. `None` if no rate was searched for.
     pub(super) rates: Option<(f64, f64)>,
-    /// Smallest distance between the upper and the lower bounds, in nanoseconds: twice the minimum delay.
+    /// Distance between the upper and the lower bounds along the line, in nanoseconds: the sum of the minimum delays in both directions.
     gap: f64,
 }
 
-/// Bounds on the offset as pairs of instant and offset in nanoseconds. Messages to the robot give upper bounds, messages from it give
-/// lower bounds.
+/// Bounds on the clock offset. Each bound is a pair of instant and offset, in nanoseconds. Messages to the robot give upper bounds, and
+/// messages from the robot give lower bounds.
 struct Bounds {
     upper: Vec<(f64, f64)>,
     lower: Vec<(f64, f64)>,
 }
 
 impl ClockLine {
-    /// Fits the line with the largest distance from the bounds on both sides, assuming equal minimum delays in both directions. `None`:
-    /// no line fits between the bounds, because the clock was set or runs unevenly.
+    /// Fits the line with the largest distance from the upper and the lower bounds. This assumes equal minimum delays in both directions.
+    /// `None` if no line fits between the bounds, because the clock was set or runs unevenly.
     pub(super) fn fit(exchanges: &[Exchange]) -> Option<Self> {
         let first = exchanges.first()?;
         let origin = first.sent;
@@ -77,7 +77,7 @@ impl ClockLine {
         [there, back].map(|way| span(way.max(0.0)))
     }
 
-    /// Uncertainty of the offset: the error if the minimum delays of the two directions differ as much as possible.
+    /// Uncertainty of the offset: the error if one direction has no delay, so that the other has the whole minimum delay of a round trip.
     pub(super) fn uncertainty(&self) -> Span {
         span(self.gap / 2.0)
     }
@@ -104,13 +104,13 @@ impl Bounds {
         self.lower.iter().map(|(at, bound)| bound - rate * at).fold(f64::INFINITY.neg(), f64::max)
     }
 
-    /// Distance between the upper and the lower bounds along a line with the given rate. It is concave in the rate, because it is the
-    /// minimum of lines minus the maximum of lines.
+    /// Returns the distance between the upper and the lower bounds along a line with the given rate. It is a concave function of the
+    /// rate, because it is a minimum of linear functions minus a maximum of linear functions.
     fn gap(&self, rate: f64) -> f64 {
         self.least_upper(rate) - self.greatest_lower(rate)
     }
 
-    /// The rate at which the distance between the bounds is largest.
+    /// Returns the rate of the line along which the bounds are furthest apart.
     fn widest(&self) -> f64 {
         let (mut least, mut most) = (-RATE_MAX, RATE_MAX);
         for _ in 0..CUTS {
@@ -121,7 +121,7 @@ impl Bounds {
         f64::midpoint(least, most)
     }
 
-    /// The range of rates for which a line fits between the bounds.
+    /// Returns the range of rates for which a line fits between the bounds; `None` if there is no such rate.
     fn possible(&self, widest: f64) -> Option<(f64, f64)> {
         let end = |far: f64| {
             let (mut inside, mut outside) = (widest, far);
@@ -135,7 +135,7 @@ impl Bounds {
     }
 }
 
-/// The resolution of a robot's timestamps.
+/// Estimates the resolution of a robot's timestamps.
 pub(super) fn counts_in(exchanges: &[Exchange]) -> Span {
     let steps = exchanges.iter().map(|exchange| resolution(exchange.robot_received, exchange.robot_sent));
     steps.min().unwrap_or_default()

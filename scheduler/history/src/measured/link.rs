@@ -7,12 +7,13 @@ use super::line::{ClockLine, counts_in};
 use crate::history::Exchange;
 
 /// Delay beyond the minimum from which a message counts as lost and retransmitted. The minimum retransmission timeout of Linux is 200 ms
-/// in addition to the round trip; a twentieth is subtracted for coarse timers.
+/// plus the round trip. A twentieth of it is subtracted for coarse timers.
 const RESENT_AFTER: Span = Span::from_millis(190);
-/// Alternative to `RESENT_AFTER`, as a multiple of the median deviation; the larger of both applies. On a link with widely varying
-/// delays, the retransmission timeout is also longer (RFC 6298, section 2).
+/// Alternative to `RESENT_AFTER`, as a multiple of the median deviation of the delays. The larger of the two limits applies. On a link
+/// with widely varying delays, the retransmission timeout is also longer (RFC 6298, section 2).
 const DEVIATIONS: i64 = 4;
-/// Additional delay from which the link counts as interrupted: that of a message that is lost three times in a row (200 + 400 + 800 ms).
+/// Additional delay from which the link counts as interrupted. A message that is lost three times in a row has this delay (200 + 400 +
+/// 800 ms).
 const INTERRUPTED: Span = Span::from_millis(1_400);
 
 /// The measured properties of a robot's link.
@@ -22,7 +23,7 @@ pub struct LinkMeasured {
     pub method: Method,
     /// Number of questions that the robot answered.
     pub exchanges: usize,
-    /// Number of one-way delays that the quantiles are based on, without messages that were lost or queued behind a lost one.
+    /// Number of one-way delays that the quantiles are based on. Messages that were lost or queued behind a lost one are excluded.
     pub samples: usize,
     /// Quantiles of the one-way delay.
     #[serde(rename = "delay_ms")]
@@ -72,9 +73,9 @@ pub struct Loss {
     pub packets: usize,
     /// `lost` divided by `packets`, from 0 to 1.
     pub share: f64,
-    /// Upper bound on the loss with 95 % confidence, by the rule of three. `None` if a packet was lost.
+    /// Upper bound on the loss with 95 % confidence, by the statistical rule of three. `None` if a packet was lost.
     pub below: Option<f64>,
-    /// Median additional delay of the lost packets; `None` if no packet was lost.
+    /// Median additional delay of the packets that were lost and resent; `None` if no packet was lost.
     #[serde(rename = "resent_after_ms")]
     pub resent_after: Option<Span>,
 }
@@ -95,14 +96,14 @@ impl Interruption {
     }
 }
 
-/// Departure and travel time of a message, or departure and round trip of a question with its answer.
+/// A message with its departure and travel time, or a question and its answer with departure and round trip.
 #[derive(Clone, Copy)]
 struct Trip {
     sent: Timestamp<Server>,
     took: Span,
 }
 
-/// The trips, classified as usual, lost or interrupted.
+/// The travel times of messages, classified as usual, lost or interrupted.
 #[derive(Default)]
 struct Sorted {
     usual: Vec<Span>,
@@ -162,8 +163,8 @@ fn each_way(exchanges: &[Exchange], line: &ClockLine) -> Vec<Vec<Trip>> {
 }
 
 impl Sorted {
-    /// Classifies the trips in one direction. Links keep the order of messages, so a message that departs while another is delayed waits
-    /// behind it and gives no information.
+    /// Classifies the travel times in one direction. Links keep the order of messages. A message that departs while an earlier one is
+    /// delayed waits behind that one, so it is ignored.
     fn take(&mut self, mut lane: Vec<Trip>, limit: Span, usual: Span) {
         lane.sort_by_key(|trip| trip.sent);
         let mut held_until = None;
@@ -184,7 +185,7 @@ impl Sorted {
     }
 }
 
-/// Merges overlapping interruptions, which both directions of a link show.
+/// Merges overlapping interruptions, because an interruption of a link delays messages in both directions.
 fn merged(mut held: Vec<Interruption>) -> Vec<Interruption> {
     held.sort_by_key(|one| one.from);
     let mut merged: Vec<Interruption> = Vec::new();

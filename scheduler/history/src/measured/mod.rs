@@ -1,5 +1,7 @@
-//! Measures the network, the clocks and the sensors of a recorded mission for a world file, so that trials can use the same network. This
-//! module reads no files and prints nothing. `docs/measured.md` describes the methods and their limits.
+//! Measures the network, the clocks and the sensors of a recorded mission. The result is a world file (the description of a simulated
+//! network), so that trials can use the same network.
+//!
+//! This module reads no files and prints nothing. `docs/measured.md` describes the methods and their limits.
 
 mod clock;
 mod line;
@@ -26,9 +28,9 @@ pub use self::written::world_text;
 pub struct Measured {
     /// The scenario's name; `None` if it is not known.
     pub scenario: Option<String>,
-    /// The first instant in the file.
+    /// The earliest instant in the data of the file.
     pub began: Timestamp<Server>,
-    /// Time from the first to the last instant in the file.
+    /// Time from the earliest to the latest instant in the data of the file.
     #[serde(rename = "duration_ms")]
     pub duration: Span,
     /// The reason why the file is incomplete; `None` if it is complete.
@@ -107,7 +109,7 @@ impl Measured {
     }
 }
 
-/// The first and the last instant in the data of a file.
+/// Returns the earliest and the latest instant in the data of a file.
 fn bounds(history: &History) -> (Timestamp<Server>, Timestamp<Server>) {
     let records = history.records.iter().map(|(at, _)| *at);
     let written = records.chain(history.told.iter().map(|(at, _)| *at));

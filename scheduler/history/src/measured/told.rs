@@ -1,4 +1,4 @@
-//! Measures connection breaks, sensor readings and waits from the messages to the operator.
+//! Measures broken connections, sensor readings and waits for the operator from the messages to the operator.
 
 use downbeat_mission::Progress;
 use serde::Serialize;
@@ -6,7 +6,7 @@ use urrcp::{ControlType, RobotId, Server, Span, Timestamp};
 
 use crate::history::{History, KnownRobot};
 
-/// The text in the message of an act that waits for the operator.
+/// The text that identifies the operator's go in the message about an act that waits.
 const OPERATOR: &str = "the operator's go";
 
 /// A connection to a robot that broke.
@@ -66,7 +66,7 @@ pub(super) fn breaks(
     breaks
 }
 
-/// The readings of devices that only sense. The reading of a device that moves is its position and is left out.
+/// Returns the readings of devices that only sense. The readings of devices that move are omitted, because they are positions.
 pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<SensorMeasured> {
     let moves = |device: &str| {
         let described = robot.init.as_ref().and_then(|init| init.device(device));

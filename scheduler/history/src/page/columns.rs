@@ -17,8 +17,8 @@ pub(super) struct Column {
     at: usize,
     /// Number of entries.
     n: usize,
-    /// Number of decimals. Each number is stored as an integer, the number times 10 to the power of `decimals`, minus its prediction.
-    /// `None`: numbers are stored as little-endian 64-bit floats.
+    /// Number of decimals. Each number is multiplied by 10 to the power of `decimals`, and stored as the difference of this integer from
+    /// its prediction. `None` if the numbers are stored as little-endian 64-bit floats.
     decimals: Option<u8>,
     order: Order,
 }
@@ -111,7 +111,8 @@ fn power(decimals: u8) -> f64 {
     10.0_f64.powi(i32::from(decimals))
 }
 
-/// The number times 10 to the power of `decimals` as an integer; `None` if the division does not reproduce the number exactly.
+/// Returns the number times 10 to the power of `decimals` as an integer. `None` if dividing that integer by the power does not reproduce
+/// the number exactly.
 fn scaled(number: f64, decimals: u8) -> Option<i64> {
     let integer = (number * power(decimals)).round();
     let integer = Some(integer).filter(|integer| integer.abs() < EXACT_MAX)? as i64;
@@ -119,7 +120,7 @@ fn scaled(number: f64, decimals: u8) -> Option<i64> {
     ((integer as f64 / power(decimals)).to_bits() == number.to_bits()).then_some(integer)
 }
 
-/// The minimum number of decimals with which all numbers are exact; `None` if no number of decimals suffices.
+/// Returns the minimum number of decimals that represents all numbers exactly; `None` if no number of decimals suffices.
 fn decimals(numbers: &[f64]) -> Option<u8> {
     let mut decimals = 0;
     for number in numbers {

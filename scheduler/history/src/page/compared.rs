@@ -1,5 +1,5 @@
-//! The comparison on a page: the other side in the background, and the differences in words. The other side is a plan with its curves and
-//! cues, or a mission that was played with the values that were sent to its robots.
+//! The comparison on a page with another plan or mission. The page shows the other side in the background, and lists the differences in
+//! words. Of a plan, it shows curves and cues; of a mission that was played, the values that were sent to robots.
 
 use downbeat_scripts::{Act, Choreography};
 use urrcp::Span;
@@ -61,7 +61,8 @@ fn ghost((plan, act): (usize, &Act), before: &Act, places: &Places, columns: &mu
     Ghost { plan, cues: cues.collect(), lanes }
 }
 
-/// The lanes that differ from the page's own lanes. Equal lanes would be hidden behind those.
+/// Returns those of the other side's lanes (the curves of device values) that differ from the page's own lanes. Equal lanes would be
+/// hidden behind the page's own.
 fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
     let key = |lane: &Lane| (lane.robot, lane.device, lane.value);
     lanes.retain(|lane| {

@@ -18,7 +18,7 @@ pub(super) struct Mission {
     /// The reason why the file of the mission is incomplete; `None` if it is complete.
     pub(super) cut_off: Option<String>,
     pub(super) scenario: String,
-    /// The instant that corresponds to 0 ms on the page.
+    /// The absolute time that corresponds to 0 ms on the page, as text.
     pub(super) epoch: String,
     pub(super) from: f64,
     pub(super) to: f64,
@@ -51,7 +51,7 @@ pub(super) struct Compared {
 /// A difference in words.
 #[derive(Debug, Serialize)]
 pub(super) struct Difference {
-    /// Index of the act's plan on the page. `None` if only the other side has the act, or the difference concerns no act.
+    /// Index of the act's plan on the page. `None` if only the other plan or mission has the act, or if the difference concerns no act.
     pub(super) plan: Option<usize>,
     /// Time in milliseconds from the act's start; `None` if the difference has no time.
     pub(super) at: Option<f64>,
@@ -61,11 +61,11 @@ pub(super) struct Difference {
     pub(super) text: String,
 }
 
-/// The content of the other side for an act of the page's own side.
+/// What the other plan or mission contains for an act of the page's own plan or mission.
 #[derive(Debug, Serialize)]
 pub(super) struct Ghost {
     pub(super) plan: usize,
-    /// Cues of the page's own plan that have different times in the other plan.
+    /// Cues of the page's own plan whose times differ in the other plan.
     pub(super) cues: Vec<GhostCue>,
     pub(super) lanes: Vec<Lane>,
 }
@@ -128,7 +128,7 @@ pub(super) struct Body {
     pub(super) joints: Vec<Joint>,
 }
 
-/// A coordinate: `offset + scale * value of the device`. Without a device it is always `offset`.
+/// A coordinate, computed as `offset + scale * value of the device`. Without a device, it is always `offset`.
 #[derive(Debug, Serialize)]
 pub(super) struct Coordinate {
     pub(super) device: Option<usize>,
@@ -219,7 +219,7 @@ pub(super) struct Played {
     pub(super) no_return: Option<f64>,
     pub(super) lease: Option<f64>,
     pub(super) fate: Fate,
-    /// When the act was over, or a stop of all robots began.
+    /// When the act ended or a stop of all robots began, whichever came first, in milliseconds on the page. `None` if neither happened.
     pub(super) over: Option<f64>,
     pub(super) robots: Vec<PlayedRobot>,
 }

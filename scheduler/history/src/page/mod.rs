@@ -1,5 +1,5 @@
-//! Creates a page for a browser from a mission or from trials: one file that needs neither a network nor this program. `viewer/` contains
-//! the code of the page; this module creates its data.
+//! Creates a page for a browser from a mission or from trials. The page is a single file that needs neither a network nor this program.
+//! `viewer/` contains the code of the page; this module creates its data.
 
 mod columns;
 mod compared;
@@ -46,11 +46,11 @@ const PLACE: &str = "@@MISSION@@";
 pub struct Rehearsed<'a> {
     /// The choreography that was played.
     pub choreography: &'a Choreography,
-    /// The source locations of the choreography.
+    /// The cues of the choreography as written, with their locations in its files.
     pub outline: &'a Outline,
     /// The robots of the choreography and their bodies.
     pub fleet: &'a Fleet,
-    /// The findings in the files of the choreography.
+    /// The mistakes that were found in the files of the choreography.
     pub findings: &'a [Finding],
     /// The result of the dry run, with the values that each robot set.
     pub played: &'a dry_run::Played,
@@ -175,8 +175,8 @@ fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Inserts the data into the template: the length of the JSON, the JSON and the columns, compressed with gzip and encoded in Base64. So
-/// no name in the data can break the page.
+/// Inserts the page's data into the template: the length of the JSON, the JSON itself and the columns. The data is compressed with gzip
+/// and encoded in Base64, so that no name in it can break the page.
 fn page(mission: &impl Serialize, columns: &Columns) -> io::Result<String> {
     let json = serde_json::to_vec(mission)?;
     let length =

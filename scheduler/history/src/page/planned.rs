@@ -14,7 +14,7 @@ use super::document::{
 };
 use downbeat_show::waits;
 
-/// The indices of robots and devices in the page's data.
+/// Maps robots and devices to their indices in the page's data.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     robots: HashMap<RobotId, usize>,
@@ -102,7 +102,7 @@ fn driven_lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> V
     lanes
 }
 
-/// Rounds metres to a tenth of a millimetre, which is small compared with the error of the path.
+/// Rounds a length in metres to a tenth of a millimetre, which is small compared with the error of the path.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
@@ -265,8 +265,8 @@ fn named(control: ControlType, value: usize) -> String {
     }
 }
 
-/// The steps of a script as points, separately for each index of a value within a step. The control type is that of the first step with
-/// that index.
+/// Converts the steps of a script to points. The values at the same index within their steps form one series, with the control type of
+/// the first step that has that index.
 fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
     let mut all: Vec<(ControlType, Points)> = Vec::new();
     for step in script.steps() {

@@ -62,7 +62,7 @@ pub(super) fn acts(
     acts
 }
 
-/// When an act was decided and committed, and the instants that the messages about this reported.
+/// When an act was decided (all robots had accepted it) and committed, its point of no return, and the end of its leases.
 #[derive(Debug, Default)]
 pub(super) struct Phases {
     pub(super) decided: Option<Timestamp<Server>>,
@@ -72,7 +72,7 @@ pub(super) struct Phases {
 }
 
 impl Phases {
-    /// Collects the phases from the messages about an act.
+    /// Collects these instants from the messages to the operator about an act.
     pub(super) fn of(told: &[Told], name: &str, planned: Timestamp<Server>) -> Self {
         let decided = told.iter().find_map(|(at, told)| match told {
             Progress::Decided { act, start, no_return, leases_end, .. }

@@ -70,7 +70,7 @@ impl History {
         self.described().0
     }
 
-    /// The scripts that were sent in each act, with the robot and device indices of another mission.
+    /// Returns the scripts that were sent in each act. Uses the robot and device indices of another mission.
     pub(super) fn plans_among(&self, places: &Places, columns: &mut Columns) -> Vec<Plan> {
         let epoch = self.epoch();
         let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
@@ -79,7 +79,7 @@ impl History {
         self.plans(None, &sent, &acts, (places, columns))
     }
 
-    /// The indices of robots and devices, and the robots themselves, according to the robots' descriptions.
+    /// Returns the robots and devices according to the robots' descriptions, and their indices.
     fn described(&self) -> (Places, Vec<Robot>) {
         let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
         let mut places = Places::default();
@@ -104,7 +104,7 @@ impl History {
         plans
     }
 
-    /// The planned start of the first act; without any act, the first known instant.
+    /// Returns the planned start of the first act or, if there is no act, the earliest known instant.
     fn epoch(&self) -> Epoch {
         let start = self.promises().next().map(|(_, promise)| promise.start);
         let records = self.records.iter().map(|(at, _)| *at);
@@ -143,7 +143,7 @@ impl History {
         }
     }
 
-    /// When the first record that satisfies `is` was written.
+    /// Returns when the first record that satisfies `is` was written; `None` if there is no such record.
     fn recorded(&self, is: impl Fn(&Record) -> bool) -> Option<Timestamp<Server>> {
         self.records.iter().find(|(_, record)| is(record)).map(|(at, _)| *at)
     }
@@ -222,7 +222,7 @@ struct Sent<'a> {
     promise: &'a Promise,
     duration: Span,
     robots: Vec<RobotId>,
-    /// The time that was added to timestamps for each robot's clock.
+    /// The time that was added to each robot's timestamps to convert them to its clock.
     shifts: BTreeMap<RobotId, Span>,
 }
 
@@ -241,7 +241,7 @@ impl<'a> Sent<'a> {
     }
 }
 
-/// A robot with its described devices, and with further devices that were driven.
+/// A robot with the devices of its description, and with further devices that received scripts or reported values.
 struct Described {
     id: RobotId,
     devices: Vec<(DeviceId, Device)>,

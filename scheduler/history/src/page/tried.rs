@@ -21,7 +21,7 @@ pub(super) struct Tried<'a> {
     scenario: &'a str,
     world: &'a str,
     trials: usize,
-    /// The seed as text, because browsers read JSON numbers with fewer than 64 bits.
+    /// The seed, as text because JSON numbers in browsers have a precision of fewer than 64 bits.
     seed: String,
     /// The words of the command that replays a trial, without `--trial K`.
     replay: &'a [String],
@@ -101,8 +101,8 @@ impl Histogram {
     }
 }
 
-/// The width of a column in nanoseconds: the smallest of 1, 2 and 5 times a power of 10 with which [`COLUMNS_MAX`] columns suffice up to
-/// `end`.
+/// Returns the width of a column in nanoseconds: the smallest number of the form 1, 2 or 5 times a power of 10 with which [`COLUMNS_MAX`]
+/// columns reach `end`.
 fn width(end: i64) -> i64 {
     let powers = std::iter::successors(Some(1_i64), |power| power.checked_mul(10));
     let widths = powers.flat_map(|power| [1, 2, 5].map(|factor| power.saturating_mul(factor)));

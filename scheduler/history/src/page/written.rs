@@ -1,4 +1,4 @@
-//! The scenario of a mission that was played. It contains the cues, lines and bodies, which recordings lack.
+//! The scenario of a past mission. It provides the cues, lines and bodies, which recordings lack.
 
 use std::collections::HashSet;
 
@@ -24,7 +24,7 @@ pub struct Written<'a> {
     pub findings: &'a [Finding],
 }
 
-/// The error that a scenario is not the one that was played.
+/// The error that the given scenario is not the one that was played.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the scenario is not the one that was played: the script of `{robot}/{device}` differs in every act; it may have changed since, or was \
@@ -56,7 +56,7 @@ impl Written<'_> {
         })
     }
 
-    /// The act of this scenario whose scripts were promised; `None` if no act matches.
+    /// Returns the act of this scenario that has all promised scripts; `None` if no act has them.
     fn act(&self, promise: &Promise) -> Option<&Act> {
         let promised = promised(promise);
         self.choreography.acts.iter().find(|act| {

@@ -1,11 +1,12 @@
-//! An act from its decision to its start: rounds of questions make all leases end just before the start, and the commitment extends all
-//! of them beyond it.
+//! An act from its decision to its start. A lease is the time for which a robot keeps its scripts without a message from the scheduler.
+//! Rounds of questions make all leases end just before the start. The commitment, a final message to each robot, extends the leases
+//! beyond the start.
 //!
-//! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler stops sending: its earlier messages
-//! let no robot start. A moment later, one message lets any robot start. The scheduler sends it, the commitment, once every robot has
-//! answered one of the last two rounds, every clock is right, and the commitment is on disk. If this does not happen in time, it never
-//! sends it, and no robot starts. A scheduler that stalled during the last rounds asks again, if the leases can still end just before the
-//! start.
+//! Every round asks each robot whether it holds its scripts. At the critical instant, the scheduler stops sending: no earlier message can
+//! make a robot start. A moment later, a single message can make any robot start. The scheduler sends this message, the commitment, under
+//! three conditions. Every robot has answered one of the last two rounds, every clock is right, and the commitment is recorded on disk.
+//! If this does not happen in time, the scheduler never sends the commitment, and no robot starts. If a scheduler stalled during the last
+//! rounds, it asks again, provided that the leases can still end just before the start.
 
 use downbeat_plan::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
@@ -17,10 +18,11 @@ use crate::record::Record;
 use crate::robot_state::RobotState;
 use crate::{Outcome, Progress};
 
-/// A failure is noted this long before the last instant for the commitment, so that the other robots can still be committed.
+/// How long before the latest time for the commitment a silent robot is considered failed. The other robots can then still be committed
+/// in time.
 const FAIL_AHEAD: Span = Span::from_millis(5);
 
-/// State of the commitment record.
+/// Progress of writing the commitment record to disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OnDisk {
     Nothing,
@@ -28,36 +30,39 @@ enum OnDisk {
     Commitment,
 }
 
-/// The approach of a decided act to its start, before its commitment.
+/// State of an act between the decision to start it and its commitment. In this time, robots are asked repeatedly whether they hold their
+/// scripts.
 #[derive(Clone, Debug)]
 pub(crate) struct Approach {
-    /// The time of the next round; after the critical instant, the time at which the mission gives up the act.
+    /// The time of the next round of questions. After the last round, the time of the next check whether to commit the act or to give it
+    /// up.
     wakeup: Timestamp<Server>,
-    /// Sending times of the last two rounds, the newer one last.
+    /// Sending times of the last two rounds of questions, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
-    /// The members before this index have answered one of the last two rounds.
+    /// All members (robots of the act) before this index have answered one of the last two rounds of questions.
     heard: usize,
-    /// The time at which the robots were asked again after the critical instant, because this process had stalled during the last rounds.
+    /// The time of an extra round of questions after the critical instant. It is sent because this process had stalled during the regular
+    /// rounds; `None` if there was none.
     late_round: Option<Timestamp<Server>>,
     /// The time at which this process took over the act from the process that decided it; `None` if this process decided it.
     taken_up: Option<Timestamp<Server>>,
 }
 
-/// The commitment of an act that has not started on all robots.
+/// State of an act that is committed, but has not started on all robots.
 #[derive(Clone, Debug)]
 pub(crate) struct Commitment {
     next_round: Timestamp<Server>,
     since: Timestamp<Server>,
     /// The instant by which the last robot has started.
     begun: Timestamp<Server>,
-    /// The next instant at which a robot may have played a script, and its device may have room for another one.
+    /// The next instant at which a device may have finished a script, and so have room for another one.
     room: Timestamp<Server>,
-    /// The members before this index have answered since the commitment.
+    /// All members (robots of the act) before this index have answered since the commitment was sent.
     heard: usize,
     told: Told,
-    /// The time at which the mission checks for missing answers to the commitment, as late as a withdrawal permits. `None` if the others
-    /// start in any case, or after the check.
+    /// The time at which the mission checks whether all robots have answered the commitment. It is the latest one at which a withdrawal
+    /// still helps. `None` after the check, or if the other robots start in any case.
     doubt: Option<Timestamp<Server>>,
 }
 
@@ -69,36 +74,38 @@ enum Told {
 }
 
 impl Approach {
-    /// The approach after a new decision. The first round is sent at once.
+    /// Returns the state right after the decision to start the act. The first round of questions is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
         let (rounds, on_disk) = ([now, now], OnDisk::Nothing);
         Self { wakeup: now, rounds, on_disk, heard: 0, late_round: None, taken_up: None }
     }
 
-    /// The approach of an act that another process has decided. This process may be too late to ask the robots.
+    /// Returns the state of an act that another process has decided to start and this process takes over. There may be too little time
+    /// left to ask the robots.
     pub(super) const fn taken_up(now: Timestamp<Server>) -> Self {
         Self { taken_up: Some(now), ..Self::beginning(now) }
     }
 
-    /// Whether a robot that has not confirmed that it holds its scripts has failed. If this process itself is late, the confirmation may
-    /// be unread, or the robot was not asked in time.
+    /// Whether a robot counts as failed because it has not confirmed that it holds its scripts. The robot is not blamed if this process
+    /// itself is late: the confirmation may be unread, or the robot was not asked in time.
     fn blames_silence(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
         let in_time = now <= self.commit_by(timing) && !self.was_held_up(timing);
         in_time && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
-    /// Every robot must have answered a question that was sent at this time or later: one of the last two rounds, but none before the
-    /// limit that was printed for silence.
+    /// Returns the time since which a question must have been sent so that its answer counts as a confirmation. This is when the
+    /// second-to-last round was sent, or the limit for silence that was printed, if that is later.
     fn since(&self, timing: &Timing) -> Timestamp<Server> {
         self.rounds[0].max(timing.doubtful_from())
     }
 
-    /// Whether this process stalled during the last rounds.
+    /// Whether this process stalled during the last rounds of questions.
     fn was_held_up(&self, timing: &Timing) -> bool {
         self.late_round.is_some() || self.rounds[0] < timing.doubtful_from()
     }
 
-    /// Whether a process that stalled during the last rounds may ask again, with leases that still end at the brink.
+    /// Whether this process stalled during the last rounds of questions, but may send another one. The leases must still end at the
+    /// brink, just before the start.
     fn may_ask_late(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
         self.late_round.is_none()
             && self.was_held_up(timing)
@@ -107,13 +114,13 @@ impl Approach {
             && timing.lets_through(now)
     }
 
-    /// Whether the robots are asked again, after a stall of this process, at the instant `now`.
+    /// Whether `now` is the time of the extra round of questions that follows a stall of this process.
     pub(super) fn asks_late(&self, now: Timestamp<Server>) -> bool {
         self.late_round == Some(now)
     }
 
-    /// Whether this process took over the act after the last instant at which it may ask robots, so that no robot can answer. This
-    /// process would send nothing until the commitment is too late, and the leases of acts that play would end.
+    /// Whether this process took over the act too late to ask any robot. The act is then withdrawn at once. Otherwise, nothing would be
+    /// sent until the commitment is too late, and the leases of acts that play would end.
     fn was_taken_up_too_late(&self, timing: &Timing) -> bool {
         self.on_disk == OnDisk::Nothing && self.taken_up.is_some_and(|at| at >= timing.critical())
     }
@@ -126,8 +133,8 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
-    /// The instant by which robots must have answered; others have failed. It leaves enough time to commit the other robots: for the
-    /// record and the commitment itself.
+    /// Returns the time by which robots must have answered; the others have failed. The remaining time is enough to record the commitment
+    /// and to send it to the robots that have answered.
     fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
         let latest = self.commit_by(timing) - FAIL_AHEAD;
         let latest = timing.speak_by(self.rounds[1]).map_or(latest, |by| latest.min(by));
@@ -158,7 +165,7 @@ impl Commitment {
 }
 
 impl Act {
-    /// Performs the next step of the approach that is due: a round of questions, the record of the commitment, or the commitment itself.
+    /// Performs the step that is due before the start: a round of questions, the record of the commitment, or the commitment itself.
     pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
@@ -199,7 +206,8 @@ impl Act {
         actions
     }
 
-    /// Whether one more round is needed and possible after the critical instant, because this process stalled during the last rounds.
+    /// Whether another round of questions is needed and possible after the critical instant, because this process stalled during the last
+    /// rounds.
     fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         let since = approach.since(timing);
@@ -215,7 +223,7 @@ impl Act {
         actions
     }
 
-    /// Whether to write the commitment now. It is written ahead of time, because the disk may be slow.
+    /// Whether to write the record of the commitment now. It is written before the commitment can be sent, because the disk may be slow.
     fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
@@ -228,7 +236,8 @@ impl Act {
         shortened || self.present().all(|member| member.holds_since(&robots[member.robot], since))
     }
 
-    /// After the critical instant: commits once all conditions hold, or gives up in time.
+    /// Commits the act once all conditions hold, or gives it up in time. Called after the critical instant (the end of regular
+    /// questions).
     fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
@@ -266,7 +275,8 @@ impl Act {
         self.commit(now)
     }
 
-    /// Members that have not confirmed in time that they hold their scripts, and those whose clock was set since the decision.
+    /// Returns the members that prevent the commitment, each with its failure. They have not confirmed in time that they hold their
+    /// scripts, or their clock was set since the decision.
     fn not_committable(
         &self,
         now: Timestamp<Server>,
@@ -306,7 +316,8 @@ impl Act {
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
-    /// Keeps the leases extended beyond the start, and detects whether the commitment has reached every robot.
+    /// Handles a committed act until it plays: renews the leases beyond the start, and detects whether every robot has answered the
+    /// commitment.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
@@ -329,8 +340,8 @@ impl Act {
         actions
     }
 
-    /// Sends further scripts to robots whose clocks are ahead: they may have played a script and need the next one before the last robot
-    /// has started.
+    /// Sends further scripts to robots whose clocks are ahead. Such a robot may have played a script, and need the next one, before the
+    /// last robot has started.
     fn make_room(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
             return Vec::new();
@@ -344,8 +355,8 @@ impl Act {
         actions
     }
 
-    /// Robots that have not answered the commitment while it can still be withdrawn, if the scenario requests a withdrawal. It is unknown
-    /// whether they will start.
+    /// Returns the robots that have not answered the commitment in time to withdraw it, if the scenario requests a withdrawal in this
+    /// case. It is unknown whether these robots will start.
     fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();

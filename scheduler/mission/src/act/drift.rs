@@ -1,4 +1,5 @@
-//! Handles clocks that drift while an act plays: later scripts are corrected when they are sent, and the act is judged at its end.
+//! Handles clocks that drift while an act plays. Later scripts are corrected when they are sent. At its end, the act is checked for
+//! robots that have drifted apart.
 
 use urrcp::{Server, Span, Timestamp};
 
@@ -9,13 +10,14 @@ use crate::robot_state::RobotState;
 use crate::script::ScriptRef;
 use crate::{ClockMode, Record};
 
-/// The maximum change of a clock that counts as drift. A clock that has changed by more was set: a drift of 50 ppm would take more than
-/// five hours.
+/// The maximum change of a clock that counts as drift. A clock that has changed by more was set: at 50 ppm, this much drift would take
+/// more than five hours.
 const DRIFT_MAX: Span = Span::from_millis(1_000);
 
 impl Act {
-    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` returns the time
-    /// by which that clock is ahead of the server's.
+    /// Corrects the start of a script for the drift of its robot's clock since the act was promised. The script must follow another one
+    /// on its device. `offset_at` returns by how much the clock is ahead of the server's at a given time. Returns a record of the new
+    /// offset, if one is needed.
     pub(crate) fn translate(
         &mut self,
         script: ScriptRef,
@@ -54,8 +56,9 @@ impl Act {
         (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
     }
 
-    /// How far apart, or off the plan, the robots that played the act to its end certainly were because of clock drift. A robot whose
-    /// clock was set meanwhile is not judged, because its plan may not follow that clock.
+    /// Returns how far apart robots certainly were at the end of the act because of clock drift. If a robot was certainly even further
+    /// off its plan, returns that time instead. Considers only robots that played to the end. A robot whose clock was set meanwhile is
+    /// ignored, because its plan may not follow that clock.
     pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
         let start = self.timing.as_ref()?.start;
         let deviation = |member: &Member| {
@@ -87,7 +90,7 @@ impl Act {
     }
 }
 
-/// The deviation of a robot from its plan at its end, by the clock of this machine.
+/// A robot's deviation from its plan at the end of its last script, by the clock of this machine.
 struct Deviation {
     end: Timestamp<Server>,
     least: Span,
@@ -96,8 +99,8 @@ struct Deviation {
     by_plan: bool,
 }
 
-/// The largest time by which two of these robots were certainly apart. The robots are sorted by their ends. Between these ends, the clock
-/// of this machine may have drifted at `rate`. That drift does not affect robots whose plans follow that clock.
+/// Returns the largest time by which any two of these robots certainly ended apart. `all` is sorted by the ends of the robots. Between
+/// two ends, the clock of this machine may have drifted at `rate`. That drift does not affect robots whose plans follow that clock.
 fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span> {
     let mut all = all.peekable();
     let first = all.peek()?.end;
@@ -114,15 +117,16 @@ fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span
 }
 
 impl Member {
-    /// The largest offset of the last script of any device, whether already sent or not.
+    /// Returns the largest clock offset among the last scripts of all devices, whether those were already sent or not. The offset
+    /// converts start times to the robot's clock.
     pub(crate) fn last_shift(&self) -> Option<Span> {
         let scripts = self.scripts();
         let is_last = |index: &usize| *index + 1 == scripts.len() || self.before(index + 1).is_none();
         (0..scripts.len()).filter(is_last).map(|index| self.shift_of(&scripts[index])).max()
     }
 
-    /// The offset for a script that is sent for the first time, given the change since the previous script. A following script begins at
-    /// or after the end of the previous one, by the same clock.
+    /// Returns the clock offset of a script that is sent for the first time: that of the previous script on its device, plus `change`.
+    /// The offset is limited so that the script begins no earlier than the previous one ends.
     fn translation(&self, script: usize, change: Span) -> Option<Span> {
         let (before, follows) = (self.before(script)?, &self.scripts()[script]);
         let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();

@@ -1,4 +1,4 @@
-//! Scripts that a robot has lost but another process may still run.
+//! Scripts that a robot's current process has lost, but that another process of the robot may still run.
 
 use downbeat_plan::is_rate;
 use urrcp::{Server, Span, Timestamp};
@@ -9,8 +9,8 @@ use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptRef};
 
 impl Act {
-    /// The instant at which another process comes to rest that may still run a script that the robot has lost. `None` if no process can
-    /// run the script, `Some(None)` if it may run forever.
+    /// Returns the time at which a script comes to rest that the robot has lost, but another process may still run. `None` if no process
+    /// can run the script; `Some(None)` if one may run it forever.
     pub(crate) fn runs_elsewhere(
         &self,
         script: ScriptRef,
@@ -31,7 +31,7 @@ impl Act {
     }
 }
 
-/// Whether a script ends with a speed or an acceleration, which continues as long as its lease.
+/// Whether a script ends with a speed or an acceleration. The device keeps this rate until the lease of the script ends.
 fn leaves_a_rate_on(script: &Script) -> bool {
     let last = script.plan.script.steps().last();
     last.is_some_and(|step| is_rate(step.setpoint.control_type) && step.setpoint.value != 0.0)

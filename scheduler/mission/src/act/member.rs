@@ -1,4 +1,4 @@
-//! A robot of an act: the scripts that it was sent, and whether it still takes part.
+//! A robot's part in an act: the scripts that the robot was sent, and whether it still takes part.
 
 use downbeat_plan::DeviceScript;
 use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
@@ -9,7 +9,8 @@ use crate::ClockMode;
 use crate::robot_state::{RobotState, Standing};
 use crate::script::{Script, ScriptState};
 
-/// The limit `pending_until` of a committed script lies this long after its start, so that the robot never drops a script that may begin.
+/// How long after its planned start a committed script may still wait on the robot (`pending_until`). The robot therefore never drops a
+/// script that may begin.
 const BEYOND_START: Span = Span::from_millis(1_000);
 
 /// Whether a robot still takes part in an act.
@@ -27,10 +28,10 @@ pub(crate) struct Member {
     pub(super) part: Part,
     /// The offset added to the act's timestamp to convert it to the robot's clock.
     pub(super) shift: Span,
-    /// The number of times that the robot's clock had been set when the act was sent; `None` if another process sent it.
+    /// How often the robot's clock had been set when the act was sent; `None` if another process sent the act.
     pub(super) clock_steps: Option<u32>,
     scripts: Vec<Script>,
-    /// One chain of scripts for each device, in the order of the scripts.
+    /// The progress of each device through its scripts, in the order of `scripts`.
     pub(super) chains: Vec<Chain>,
     /// The last time at which the robot was asked for overdue reports.
     pub(super) asked: Option<Timestamp<Server>>,
@@ -38,18 +39,18 @@ pub(crate) struct Member {
     pub(super) asked_since: Option<Timestamp<Server>>,
 }
 
-/// Sort key of a group of requests in one question. Requests whose lease the question does not shorten come last. The others come in
-/// order of their start after the start of the act.
+/// Sort key of the questions to a robot. Questions that shorten leases come first, in the order in which their scripts begin after the
+/// start of the act. A question that shortens no lease comes last.
 type Group = (bool, Option<Span>);
 
-/// Progress of the scripts of one device. The scripts are contiguous and in order of time. An event inspects only the scripts under way,
-/// not all past and future ones.
+/// Progress of one device through its scripts, which are adjacent in the list and sorted by time. Each event inspects only the scripts
+/// under way, not all past and future ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chain {
     pub(super) first: usize,
     /// The scripts before this index have completed.
     pub(super) completed: usize,
-    /// The scripts from this index on were never sent.
+    /// The scripts from this index on have never been sent.
     pub(super) unsent: usize,
     pub(super) end: usize,
 }
@@ -87,8 +88,8 @@ impl Member {
         self.scripts[script].name(id);
     }
 
-    /// Takes over the id that another process gave to a script. That process may have sent the script with this offset. The record of
-    /// another offset for a later script may be lost if the robot's clock is measured.
+    /// Adopts the id and the clock offset of a script from another process, which may have sent the script with them. If the robot's
+    /// clock is measured, a later script may have been sent with another offset whose record is lost.
     pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
         let follows = self.before(script).is_some();
         if !follows {
@@ -104,7 +105,7 @@ impl Member {
         self.scripts[script].taken_up();
     }
 
-    /// The scripts under way: those that were sent and have not completed, and the next one of each device.
+    /// Returns the scripts under way: those that were sent and have not completed, and the next unsent one of each device.
     pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
         let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);
         self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
@@ -129,18 +130,19 @@ impl Member {
         self.shift
     }
 
-    /// The offset added to the timestamp of this script's request.
+    /// Returns the offset that converts the timestamp of a script's request to the robot's clock.
     pub(crate) fn shift_of(&self, script: &Script) -> Span {
         script.shift().unwrap_or(self.shift)
     }
 
-    /// Whether the first script of every device and every other script that was sent in time is accepted.
+    /// Whether the robot has accepted the first script of every device, and every later script that was sent early enough for the
+    /// decision.
     pub(super) fn has_accepted(&self, timing: &Timing) -> bool {
         self.unaccepted(timing).next().is_none()
     }
 
-    /// The scripts that the robot must still accept before the decision. A later script of a device that got room too late to be asked
-    /// about again may be answered later.
+    /// Returns the scripts that the robot must still accept before the decision to start. A later script of a device is excluded if it
+    /// was sent too late for a second question. The robot may accept it after the decision.
     pub(super) fn unaccepted(&self, timing: &Timing) -> impl Iterator<Item = (usize, &Script)> {
         let late = timing.ask_again();
         let follows = move |script: &Script| script.is_out() && !script.was_sent_since(late);
@@ -152,28 +154,30 @@ impl Member {
         self.chains.iter().all(|chain| chain.completed == chain.end)
     }
 
-    /// Whether no script of this member remains to be sent or can still run.
+    /// Whether all scripts of this member have been sent, and none can still run.
     pub(super) fn is_over(&self) -> bool {
         self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
     }
 
-    /// The member's scripts on a device, in order of time.
+    /// Returns the member's scripts on a device, in order of time.
     pub(crate) fn on<'a>(&'a self, device: &'a DeviceId) -> impl Iterator<Item = (usize, &'a Script)> {
         self.scripts.iter().enumerate().filter(move |(_, script)| script.plan.device == *device)
     }
 
-    /// The first script of every device.
+    /// Returns the first script of every device.
     pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
         self.chains.iter().map(|chain| &self.scripts[chain.first])
     }
 
-    /// The previous script on the device of this script. The scripts of one device are contiguous, in order of time.
+    /// Returns the previous script on this script's device; `None` for the first one. The scripts of one device are adjacent, in order of
+    /// time.
     pub(super) fn before(&self, script: usize) -> Option<&Script> {
         let before = self.scripts.get(script.checked_sub(1)?)?;
         (before.plan.device == self.scripts[script].plan.device).then_some(before)
     }
 
-    /// Whether the script's device has accepted the first script of its chain, or another process may have sent the whole chain.
+    /// Whether a script may be sent: it is the first of its device, the device has accepted the first one, or another process may have
+    /// sent all of them.
     pub(super) fn may_follow(&self, script: usize) -> bool {
         let chain = self.chains.iter().find(|chain| (chain.first..chain.end).contains(&script));
         let first = chain.map(|chain| &self.scripts[chain.first]);
@@ -181,8 +185,8 @@ impl Member {
         self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
     }
 
-    /// The maximum number of questions to the robot per round of the approach: one for each instant at which a device of the robot
-    /// begins.
+    /// Returns the maximum number of questions to the robot in one round before the start. There is one for each instant at which a
+    /// device begins its first script.
     pub(crate) fn questions(&self) -> usize {
         let mut begins: Vec<Span> = self.firsts().map(|script| script.plan.start.span()).collect();
         begins.sort_unstable();
@@ -195,15 +199,16 @@ impl Member {
         self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)
     }
 
-    /// How long after the start of the act a script begins, if its pending lease is shortened. It is shortened if the script begins
-    /// within a lease of the start and is the first of its device. Later scripts would lose their lease long before, and following
-    /// scripts cannot begin without the first one.
+    /// Returns how long after the start of the act a script begins; `None` if questions do not shorten its pending lease. They shorten it
+    /// if the script is the first of its device and begins within one lease of the start. A script that begins later would lose its lease
+    /// long before. A script that follows another one cannot begin without the first one.
     pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
         let offset = self.scripts[script].plan.start.span();
         (offset < lease && self.before(script).is_none()).then_some(offset)
     }
 
-    /// The instant of the robot's clock until which a script may wait for its start while the act is not committed.
+    /// Returns the latest time, by the robot's clock, until which a script may wait for its start while the act is not committed. `ahead`
+    /// is how far that clock is ahead of the server's, if known.
     pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         let shift = self.shift_of(&self.scripts[script]);
@@ -212,14 +217,14 @@ impl Member {
         (timing.brink() + offset + ahead).assume_clock()
     }
 
-    /// Like `brink_of`, but for a committed act: the robot may wait for the start of the script until this instant, which is after that
-    /// start.
+    /// Returns the latest time, by the robot's clock, until which a script of a committed act may wait for its start. It is later than
+    /// that start.
     pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         (timing.start + offset + self.shift_of(&self.scripts[script]) + BEYOND_START).assume_clock()
     }
 
-    /// The requests that the robot may have, grouped by the lease that an inquiry gives to the requests.
+    /// Returns the requests that the robot may hold, grouped by the lease that a question gives to them.
     pub(super) fn names(
         &self,
         timing: &Timing,
@@ -256,8 +261,9 @@ impl Member {
         groups.into_iter().map(|(_, named)| named).collect()
     }
 
-    /// The pending lease with which a script is sent. A script that follows another of its device in the same act cannot begin before
-    /// that one has begun. It therefore waits under the running lease of the other one, if that is longer.
+    /// Returns the lease under which a script waits for its start. A script that follows another one cannot begin before that one has
+    /// begun. It therefore waits under the running lease of the previous script, if that lease is longer. `None` if the previous script
+    /// has no lease.
     pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
         match self.before(script) {
             None => Some(lease),
@@ -265,7 +271,8 @@ impl Member {
         }
     }
 
-    /// The pending lease of a script that waits while its act plays. It may have been shortened.
+    /// Returns the lease under which a script of a playing act still waits for its start. Questions before the start of the act may have
+    /// shortened it.
     pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
         let shortened = timing.pace.leases == Leases::Shortened;
         let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
@@ -275,16 +282,16 @@ impl Member {
         }
     }
 
-    /// The shortest lease of a sent script from now on, including the pending lease while it waits.
+    /// Returns the shortest lease that still applies to a sent script, including its pending lease while it waits for its start.
     pub(super) fn shortest_lease(&self, script: usize, timing: &Timing) -> Option<Span> {
         let waits = matches!(self.scripts[script].state(), ScriptState::Sent | ScriptState::Held);
         let pending = waits.then(|| self.pending_lease_now(script, timing)).flatten();
         pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
     }
 
-    /// Whether the robot has confirmed that it holds the first script of every device, in answer to a question sent at `since` or later.
-    /// The following scripts cannot begin without these, and may be sent until shortly before they begin. For a robot that takes no
-    /// inquiries, answers to other questions are required, if it ever gave one.
+    /// Whether the robot has answered a question sent at `since` or later, and so confirmed that it holds the first script of every
+    /// device. Later scripts cannot begin without the first ones, and may be sent until shortly before they begin. If a robot takes no
+    /// inquiries about scripts, an answer to any other question suffices. If it has never given one, none is required.
     pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
         let answered = robot.questions.answered();
         if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
@@ -298,12 +305,12 @@ impl Member {
     }
 }
 
-/// The members of an act: the robots of the act that take part in the mission.
+/// Returns the members of an act: the robots of the act that take part in the mission.
 pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &[RobotState]) -> Vec<Member> {
     members_among(plan, robots, |robot| robot.standing == Standing::In)
 }
 
-/// The members of an act: the robots of the act for which `has_part` holds.
+/// Returns the members of an act: its robots for which `has_part` returns true.
 pub(super) fn members_among(
     plan: &downbeat_plan::Plan,
     robots: &[RobotState],

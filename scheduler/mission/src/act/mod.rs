@@ -1,7 +1,7 @@
-//! One act as a state machine: it waits, is prepared, decided, committed, plays and is over.
+//! One act as a state machine. The act waits, is prepared, decided and committed, plays, and is over.
 //!
-//! An act receives events and returns actions. It sends nothing itself, and only events change its state. Each stage has a file. An act
-//! reads the states of the robots from the mission.
+//! An act receives events and returns actions. It sends nothing itself, and only events change its state. Each stage has its own source
+//! file. The mission passes the states of the robots to the act.
 
 mod approaching;
 mod drift;
@@ -45,23 +45,24 @@ enum Stage {
     Ready {
         /// The intended start: the end of the previous act, or the time that the act waits for.
         target: Option<Timestamp<Server>>,
-        /// The time of the next check whether the act can be sent; `None`: check at the next change.
+        /// The time of the next check whether the act can be sent; `None` if only after the next change.
         look: Option<Timestamp<Server>>,
     },
-    /// The promise is being written; requests are sent once it is on disk.
+    /// The promise (a record of the scripts about to be sent) is being written. Requests are sent once it is on disk.
     Promised,
-    /// Requests are sent; the decision is pending.
+    /// The requests have been sent. The decision whether to start is pending.
     Preparing(preparing::Preparing),
-    /// All robots have accepted; the leases are shortened towards the start, and the commitment is pending.
+    /// All robots have accepted. Their leases are shortened to end just before the start, and the commitment, which extends them beyond
+    /// it, is pending.
     Approaching(Approach),
-    /// The leases extend beyond the start.
+    /// The act is committed: the scheduler extends the leases of its robots beyond the start.
     Committed(Commitment),
     /// The start has passed.
     Playing(playing::Playing),
-    /// The act will not be committed, and another act still plays. The robots drop the lapsing act. Once the other act has ended, this
-    /// one is withdrawn.
+    /// The act will not be committed, but another act still plays. The robots drop this act by themselves. It is withdrawn once the other
+    /// act has ended.
     Lapsing(Outcome),
-    /// No robot was left to play the act before its commitment.
+    /// All robots of the act were left out before its commitment.
     Deserted,
     /// All scripts of the act have ended.
     Over,
@@ -91,7 +92,7 @@ pub(crate) enum ActAction {
     TimedOut(Way),
     /// Send the request of this script.
     Send(ScriptRef),
-    /// Send as many scripts to every device of these robots as it has room for.
+    /// For each of these robots: send every device as many scripts as it has room for.
     Refill(Vec<usize>),
     /// Ask these robots about the state of their scripts.
     Ask(Vec<usize>),
@@ -105,23 +106,26 @@ pub(crate) enum ActAction {
     Tell(Progress),
 }
 
-/// Requests about which a robot is asked in one question.
+/// Requests of one robot that a single question asks about.
 #[derive(Clone, Debug)]
 pub(crate) struct NamedScripts {
-    /// The pending lease that the question gives to the requests, if it is shorter than their own leases.
+    /// The pending lease (while scripts wait for their start) that the question sets; `None` if it does not shorten the requests' own
+    /// leases.
     pub(crate) lease: Option<Span>,
-    /// The latest end of the lease, by the robot's own clock, however late the question arrives.
+    /// The latest time until which the scripts may wait for their start, by the robot's clock, however late the question arrives. `None`
+    /// if the question does not change it.
     pub(crate) until: Option<Timestamp<Robot>>,
     pub(crate) requests: Vec<RequestId>,
 }
 
-/// The effect of a question on the pending limits of the requests that the question names.
+/// How a question changes the pending limits of the requests that it names. A pending limit is the time until which a script may wait for
+/// its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Question {
     Asks,
-    /// The act approaches its start: the question makes the limits end at the act's brink.
+    /// The act approaches its start: the question makes the limits end at the brink, just before the start.
     Shortens,
-    /// The act is committed: the question extends the limits beyond the act's start.
+    /// The act is committed: the question extends the limits beyond the start of the act.
     Extends,
 }
 
@@ -135,27 +139,29 @@ pub(crate) struct Act {
     follow: Way,
     /// How often the act was withdrawn and prepared again.
     attempts: u32,
-    /// The start that must be kept: the start that the operator fixed, or that of earlier attempts.
+    /// The start that must be kept, because the operator fixed it or an earlier attempt had it; `None` if the start is not fixed.
     fixed: Option<Timestamp<Server>>,
     since: Timestamp<Server>,
     /// The planned end of the previous act, if that was still playing when this one began to wait.
     before: Option<Timestamp<Server>>,
-    /// The instant since which no earlier act plays.
+    /// The time since which no earlier act has been playing; `None` while one plays.
     alone_since: Option<Timestamp<Server>>,
-    /// The time at which the mission began to reconnect to the act's robots without a link, before it promises the act.
+    /// The time at which the mission began to reconnect to robots of the act that have no link. It tries this before it promises the act
+    /// to its robots.
     links_tried: Option<Timestamp<Server>>,
     timing: Option<Timing>,
     members: Vec<Member>,
-    /// For each robot of the mission, by its index: its index in `members`. The vector ends at the last member.
+    /// Maps the index of each robot in the mission to its index in `members`; `None` for a robot without a part. Robots after the last
+    /// member are omitted.
     place: Vec<Option<usize>>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
-    /// The devices whose motions sensors verify once the act is committed.
+    /// The devices whose movements are verified with sensors once the act is committed.
     watched: Vec<Watched>,
 }
 
 impl Act {
-    /// The act with this index in the choreography, about to wait for its condition.
+    /// Creates the act with this index in the choreography. It waits for its condition.
     pub(crate) fn new(
         choreography: Arc<Choreography>,
         index: usize,
@@ -186,64 +192,65 @@ impl Act {
         }
     }
 
-    /// The act's number in the mission, starting at 0.
+    /// Returns the act's number in the mission, starting at 0.
     pub(crate) const fn number(&self) -> u32 {
         self.number
     }
 
-    /// The act's index in the choreography.
+    /// Returns the act's index in the choreography.
     pub(crate) const fn index(&self) -> usize {
         self.index
     }
 
-    /// The act as the scenario defines it.
+    /// Returns the act's definition in the scenario.
     pub(crate) fn written(&self) -> &downbeat_plan::Act {
         &self.choreography.acts[self.index]
     }
 
-    /// The act's name for users.
+    /// Returns the act's name for users.
     pub(crate) fn name(&self) -> String {
         act_name(&self.choreography, self.index)
     }
 
-    /// How the mission continues after this act.
+    /// Returns how the mission continues after this act.
     pub(crate) const fn follow(&self) -> Way {
         self.follow
     }
 
-    /// The time since which this act is the next one.
+    /// Returns the time at which this act became the next one to play.
     pub(crate) const fn since(&self) -> Timestamp<Server> {
         self.since
     }
 
-    /// The time at which the mission began to reconnect to the act's robots without a link; `None` if it has not begun.
+    /// Returns the time at which the mission began to reconnect to robots of the act that have no link; `None` if it has not begun.
     pub(crate) const fn links_tried(&self) -> Option<Timestamp<Server>> {
         self.links_tried
     }
 
-    /// Notes that the mission begins to reconnect to robots without a link.
+    /// Notes that the mission begins to reconnect to robots of the act that have no link.
     pub(crate) const fn tries_links(&mut self, now: Timestamp<Server>) {
         self.links_tried = Some(now);
     }
 
-    /// How often the act was withdrawn and prepared again.
+    /// Returns how often the act was withdrawn and prepared again.
     pub(crate) const fn attempts(&self) -> u32 {
         self.attempts
     }
 
-    /// Sets the number of withdrawn attempts. The act no longer waits, because its condition has been met.
+    /// Sets the number of withdrawn attempts, and makes the act ready to be sent. The act does not wait again, because its condition has
+    /// been met.
     pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
         self.attempts = attempts;
         self.links_tried = None;
         self.stage = Stage::Ready { target: self.fixed, look: None };
     }
 
-    /// Fixes the act's start. A start that would be too late is refused.
+    /// Fixes the act's start. If this start can no longer be kept when the act is prepared, the mission refuses to start the act.
     pub(crate) const fn starts_at(&mut self, at: Timestamp<Server>) {
         self.fixed = Some(at);
     }
 
-    /// The start that must be kept.
+    /// Returns the start that must be kept; `None` if the start is not fixed.
     pub(crate) const fn must_start_at(&self) -> Option<Timestamp<Server>> {
         self.fixed
     }
@@ -269,22 +276,22 @@ impl Act {
         &self.readings
     }
 
-    /// The members that still take part.
+    /// Returns the members that still take part.
     pub(crate) fn present(&self) -> impl Iterator<Item = &Member> {
         self.members.iter().filter(|member| member.takes_part())
     }
 
-    /// The member for a robot, whether the robot still takes part or not.
+    /// Returns the member for a robot, even if the robot no longer takes part.
     pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
         self.place_of_member(robot).map(|place| &self.members[place])
     }
 
-    /// The index in `members` of a robot that still takes part.
+    /// Returns the index in `members` of a robot; `None` if the robot does not take part, or no longer.
     pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
         self.place_of_member(robot).filter(|place| self.members[*place].takes_part())
     }
 
-    /// The index in `members` of a robot, whether it still takes part or not.
+    /// Returns the index in `members` of a robot, even if the robot no longer takes part.
     fn place_of_member(&self, robot: usize) -> Option<usize> {
         self.place.get(robot).copied().flatten()
     }
@@ -293,12 +300,12 @@ impl Act {
         &self.members[script.member].scripts()[script.script]
     }
 
-    /// The index of the robot that plays a script.
+    /// Returns the index of the robot that plays a script.
     pub(crate) fn robot_of(&self, script: ScriptRef) -> usize {
         self.members[script.member].robot
     }
 
-    /// Whether the act's requests may be sent, because its promise is on disk.
+    /// Whether the act's requests may be sent: the promise of the act is on disk, and the act is not over.
     pub(crate) const fn is_open(&self) -> bool {
         matches!(
             self.stage,
@@ -306,13 +313,13 @@ impl Act {
         )
     }
 
-    /// Whether a robot may have received part of the act.
+    /// Whether a robot may have received any request of the act.
     pub(crate) const fn was_sent(&self) -> bool {
         self.timing.is_some()
     }
 
-    /// Whether a script may be sent, considering the earlier scripts on its device. The lease of a following script relies on the first
-    /// script. If the first one is lost on the way, the following script would begin without it and without the other robots.
+    /// Whether a script may be sent now. Before the commitment, the device must have accepted its first script. If the first script were
+    /// lost on the way, a later one could begin without it and without the other robots.
     pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
         let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
         !uncommitted || self.members[member].may_follow(script)
@@ -334,12 +341,12 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
     }
 
-    /// Whether a robot may have a script of this act whose fate it has not reported.
+    /// Whether any robot may hold a script of this act, or have run it, without having reported the outcome.
     pub(crate) fn is_unaccounted(&self) -> bool {
         self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
     }
 
-    /// Whether a robot that takes part has completed all its scripts.
+    /// Whether at least one robot that takes part has completed all its scripts.
     pub(crate) fn is_done_by_one(&self) -> bool {
         self.present().any(Member::is_done)
     }
@@ -349,7 +356,7 @@ impl Act {
         self.present().flat_map(Member::scripts).any(|script| script.is_final() && !script.has_completed())
     }
 
-    /// The act's stage, to detect progress.
+    /// Returns the act's stage without its data, so that callers can detect progress.
     pub(crate) const fn progress(&self) -> Progressed {
         match self.stage {
             Stage::Waiting(_) => Progressed::Waiting,
@@ -364,7 +371,7 @@ impl Act {
         }
     }
 
-    /// Notes that no earlier act plays any longer.
+    /// Notes that all earlier acts have ended.
     pub(crate) fn comes_next(&mut self, now: Timestamp<Server>) {
         self.alone_since.get_or_insert(now);
         // The act may have waited for room that the previous act has freed without notice.
@@ -388,13 +395,13 @@ impl Act {
         self.look_again();
     }
 
-    /// If a robot is left out: the requests that it may have received before this process took over the act, except those whose fate it
-    /// has reported.
+    /// For a robot that is left out, returns the requests that it may have received before this process took over the act. Requests whose
+    /// fate the robot has reported are excluded. `None` if none remain.
     pub(crate) fn unheard_of(&self, robot: usize) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_unheard_since_taken_up)
     }
 
-    /// If a robot is left out: the requests whose fate it has not reported.
+    /// For a robot that is left out, returns the requests whose fate it has not reported; `None` if there are none.
     pub(crate) fn owed_by(&self, robot: usize) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_out)
     }
@@ -406,7 +413,7 @@ impl Act {
         (!requests.is_empty()).then_some(NamedScripts { lease: None, until: None, requests })
     }
 
-    /// Adds robots that have become available, if nothing has been sent.
+    /// Adds robots that have joined the mission meanwhile, unless the act has already been sent.
     pub(crate) fn gather(&mut self, robots: &[RobotState]) {
         if !self.was_sent() {
             self.members = members(&self.written().plan, robots);
@@ -440,7 +447,7 @@ impl Act {
         watched
     }
 
-    /// When [`Act::advance`] is next due; `None`: at the next event.
+    /// Returns the time at which [`Act::advance`] is next due; `None` if only after the next event.
     pub(crate) fn wakeup(&self) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref();
         match &self.stage {
@@ -458,7 +465,7 @@ impl Act {
         }
     }
 
-    /// Notes that the awaited record is on disk.
+    /// Notes that the record for which the act waits is on disk.
     pub(crate) fn recorded(&mut self) -> Vec<ActAction> {
         match &mut self.stage {
             Stage::Promised => self.open(),
@@ -470,14 +477,14 @@ impl Act {
         }
     }
 
-    /// The request of a script, without its limit `pending_until`.
+    /// Returns the request that carries a script, without its time limit `pending_until`.
     pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
         let timing = self.timing.as_ref()?;
         Some(preparing::request(timing, &self.members[script.member], script.script, session))
     }
 
-    /// The limit `pending_until` of a script that is sent now. `ahead` is the time by which the robot's clock is ahead of the server's,
-    /// if known.
+    /// Returns the limit `pending_until` of a script that is sent now: the latest time until which it may wait for its start. `ahead` is
+    /// how far the robot's clock is ahead of the server's, if known.
     pub(crate) fn pending_until(&self, script: ScriptRef, ahead: Option<Span>) -> Option<Timestamp<Robot>> {
         let (timing, member) = (self.timing.as_ref()?, &self.members[script.member]);
         Some(if self.is_committed() {
@@ -487,8 +494,8 @@ impl Act {
         })
     }
 
-    /// The requests that a robot may have, one group for each question. Each group has the pending lease that the question carries. While
-    /// the act approaches its start, that lease ends before the script would begin. `ahead` is how far the robot's clock is ahead of the
+    /// Returns the requests that a robot may hold, in one group per question, each with the pending lease that the question sets. While
+    /// the act approaches its start, this lease ends before the script would begin. `ahead` is how far the robot's clock is ahead of the
     /// server's, if known. All leases end at the same instant, whatever a clock shows.
     pub(crate) fn names_of(
         &self,
@@ -505,20 +512,21 @@ impl Act {
         self.members[place].names(timing, now, ahead, question)
     }
 
-    /// Whether a robot may have a request of this act.
+    /// Whether a robot may hold a request of this act.
     pub(crate) fn has_something_on(&self, robot: usize) -> bool {
         let place = self.place_of(robot).filter(|_| self.was_sent());
         place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
     }
 
-    /// Whether every message to a robot must follow a question that carries a lease.
+    /// Whether the act approaches its start and includes this robot. Every message to the robot must then follow a question that sets a
+    /// lease.
     pub(crate) fn approaches(&self, robot: usize) -> bool {
         matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
     }
 
-    /// The requests of this act that a robot may have and could begin, with leases that end before the start, as in the approach. Empty
-    /// once the act is committed or those leases have ended. The leases end no earlier than necessary: a process that takes over the act
-    /// may still commit it, and cannot extend them.
+    /// Returns the requests of this act that a robot may hold and could begin, with leases that end before the start. Empty once the act
+    /// is committed or those leases have ended. The leases end no earlier than necessary. A process that takes over the act may still
+    /// commit it, but cannot extend them.
     pub(crate) fn to_withdraw(
         &self,
         robot: usize,
@@ -536,7 +544,7 @@ impl Act {
         named
     }
 
-    /// Whether nothing may be sent to a robot now, because it would extend the robot's lease beyond a start that is not committed.
+    /// Whether messages to a robot must wait, because they would extend its lease beyond a start that is not committed.
     pub(crate) fn holds_messages_to(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
         let undecided = match &self.stage {
@@ -547,18 +555,19 @@ impl Act {
         critical && undecided && self.place_of(robot).is_some()
     }
 
-    /// The earliest instant at which a message that is due now may be sent, considering the quiet around the start.
+    /// Returns the earliest time to send a message that is due at `now`: later than `now` during the quiet period around the start.
     pub(crate) fn out_of_quiet(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         self.timing.as_ref().map_or(now, |timing| timing.out_of_quiet(now))
     }
 
-    /// Whether an urgent message may still go to a robot for which other messages are held back, behind a question with a shorter lease.
+    /// Whether an urgent message may be sent to a robot although other messages to it must wait. It follows a question that shortens the
+    /// robot's lease.
     pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
         timing.is_some() && self.approaches(robot)
     }
 
-    /// Notes a change that may permit the act to continue.
+    /// Notes that something has changed, so that the act checks again whether it can continue.
     pub(crate) fn look_again(&mut self) {
         match &mut self.stage {
             Stage::Playing(playing) => playing.recheck(),
@@ -576,7 +585,7 @@ fn places(members: &[Member]) -> Vec<Option<usize>> {
     places
 }
 
-/// The name of an act for users.
+/// Returns the name of an act for users.
 pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
     let act = &choreography.acts[act];
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }

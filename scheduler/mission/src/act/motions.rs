@@ -1,4 +1,4 @@
-//! The readings by which the motions of an act are verified.
+//! The sensor readings that verify the motions of an act.
 
 use urrcp::{Server, Timestamp};
 
@@ -12,7 +12,7 @@ impl Act {
         self.watched = Watched::of(self, robots);
     }
 
-    /// Requests the readings that are due.
+    /// Requests the sensor readings that are due to verify motions.
     pub(super) fn watch_motions(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let (Some(timing), number) = (&self.timing, self.number) else { return Vec::new() };
         if self.watched.is_empty() || !matches!(self.stage, Stage::Committed(_) | Stage::Playing(_)) {
@@ -48,7 +48,7 @@ impl Act {
         }
     }
 
-    /// The motions that the sensors showed.
+    /// Returns the reports on the motions that sensors have verified.
     pub(crate) fn motions(&self, robots: &[RobotState]) -> Vec<MotionReport> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let watched = self.watched.iter();

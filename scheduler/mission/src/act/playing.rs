@@ -1,5 +1,4 @@
-//! An act from its start to its end: which robots have started, and how exactly, when there is room for further scripts, and which robots
-//! have ended.
+//! An act from its start to its end: when each robot starts and ends, and when there is room for further scripts.
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
 
@@ -11,17 +10,17 @@ use crate::failure_kind::FailureKind;
 use crate::robot_state::{Reading, RobotState};
 use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
 
-/// How long after the reported instant a report may still arrive, in addition to two round trips.
+/// How long after an event a robot's report of it may still arrive, in addition to two round trips.
 const REPORT_GRACE: Span = Span::from_millis(500);
 /// A script on a robot that cannot report its end is considered ended this long after its planned end.
 pub(crate) const LAPSE: Span = Span::from_millis(15);
-/// Interval between questions about a script that should have ended, to a robot that does not report by itself.
+/// Interval between questions to a robot that does not report by itself, about a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
 
-/// How long the mission waits for a robot's clock before it considers the robot's scripts over.
+/// How long the mission waits for a first reading of a robot's clock before it may consider the robot's scripts over.
 const CLOCK_AWAITED: Span = Span::from_millis(3_000);
 
-/// The maximum error of a time due to a coarse clock.
+/// The maximum error of a robot's timestamp because its clock is coarse.
 const GRAIN: Span = Span::from_millis(5);
 
 /// The state of an act that has started.
@@ -31,14 +30,14 @@ pub(super) struct Playing {
     watch: Option<Timestamp<Server>>,
     /// The time at which the robots were last asked for overdue reports.
     asked: Option<Timestamp<Server>>,
-    /// How long after the reported instant a report may still arrive, as of the last check for reports.
+    /// How long after an event a robot's report of it may still arrive, as determined at the last check for reports.
     grace: Span,
-    /// The members before this index are done, or no longer take part.
+    /// All members before this index have completed their scripts, or no longer take part.
     done: usize,
 }
 
 impl Playing {
-    /// The time at which the next check is due; `at_once` if it is due now, an instant that has passed.
+    /// Returns the time of the next check. If the check is due now, returns `at_once`, an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
         self.watch.unwrap_or(at_once)
     }
@@ -98,8 +97,8 @@ impl Act {
         self.noted(script, news, robots)
     }
 
-    /// Whether a script that has failed may have started unnoticed: it failed after its planned start, and the robot does not report
-    /// progress. The `Started` response may be lost, for example because the robot sent it to a process that has died.
+    /// Whether a failed script may have started unnoticed: it failed after its planned start, and the robot does not report progress. The
+    /// `Started` response may be lost, for example because the robot sent it to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start =
@@ -236,7 +235,7 @@ impl Act {
         Noted { news, actions }
     }
 
-    /// The actual minus the planned start of a script, both by the robot's own clock.
+    /// Returns the actual minus the planned start of a script, both by the robot's own clock; `None` if one of them is unknown.
     pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
         if script.shift_is_lost() {
             return None;
@@ -245,7 +244,7 @@ impl Act {
         Some(script.started_at()? - planned.assume_clock())
     }
 
-    /// Whether a script can have ended when its robot's clock shows this time, within the resolution of clocks.
+    /// Whether a script can have ended when its robot's clock shows this time. A small error is tolerated, because clocks may be coarse.
     pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let shift = member.shift_of(planned);
@@ -253,7 +252,7 @@ impl Act {
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
-    /// The difference between the reported start or end of a script and the planned one, by its robot's clock.
+    /// Returns the difference between the reported start or end of a script and the planned one, by its robot's clock.
     pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start = self.timing.as_ref()?.start;
@@ -301,7 +300,7 @@ impl Act {
             && self.rests_until().is_none_or(|end| now >= end)
     }
 
-    /// The end of the last movement that continues after the last step of its script.
+    /// Returns the end of the last movement that continues after the last step of its script; `None` if no movement does.
     fn rests_until(&self) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
@@ -309,7 +308,7 @@ impl Act {
         resting.map(|plan| start + plan.start.span() + plan.duration()).max()
     }
 
-    /// Whether none of its scripts can still run. Each event checks only from the first member that is not done.
+    /// Whether no script of the act can still run. Each event checks only from the first member that is not done.
     fn is_played(&mut self, robots: &[RobotState]) -> bool {
         let Stage::Playing(playing) = &mut self.stage else { return false };
         let done = |member: &&Member| !member.takes_part() || member.is_done();
@@ -327,8 +326,8 @@ impl Act {
         now < self.since + REPORT_GRACE && self.members.iter().any(may_answer)
     }
 
-    /// Adds the next check for a member that reports by itself and now plays another script. The checks for the other members are
-    /// unchanged.
+    /// Brings forward the next check, if a member needs an earlier one. The member reports by itself and now plays another script. The
+    /// checks of the other members are unchanged.
     fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
         let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();
@@ -338,7 +337,8 @@ impl Act {
         }
     }
 
-    /// Checks for lapsed scripts and overdue reports by the clocks of single robots, before the act plays on all of them.
+    /// Checks single robots, by their own clocks, before the act plays on all of them. Finds overdue reports, and lapsed scripts (whose
+    /// fate can no longer be learned).
     pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.refill_lapsed(now, robots);
         actions.extend(self.ask_for_overdue(now, robots));
@@ -350,7 +350,7 @@ impl Act {
         if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
-    /// Lets scripts lapse whose time has passed on robots that cannot report their fate. Returns those robots.
+    /// Marks scripts whose time has passed as lapsed (of unknown fate), on robots that cannot report it. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let grace = self.report_grace(robots);
@@ -379,7 +379,7 @@ impl Act {
         lapsed
     }
 
-    /// Asks for overdue reports. A robot that does not answer within the grace time fails.
+    /// Asks robots for overdue reports. A robot that still has not reported after the grace time fails.
     fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
         let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
@@ -428,8 +428,8 @@ impl Act {
         actions
     }
 
-    /// The time at which a robot is asked about a script; `None` if nothing is pending. A robot that does not report by itself is asked
-    /// when the script should have ended.
+    /// Returns the time at which a robot is asked about a script; `None` if nothing is pending. A robot that does not report by itself is
+    /// asked when the script should have ended.
     fn report_due(
         &self,
         member: &Member,
@@ -457,7 +457,8 @@ impl Act {
         }
     }
 
-    /// The times of the next checks of a robot, for each of its scripts under way.
+    /// Returns the times of the next checks for each script under way on a robot: to ask for its report, and to detect that it is still
+    /// missing.
     fn watched<'a>(
         &'a self,
         member: &'a Member,
@@ -489,8 +490,8 @@ impl Act {
         next.min(now + self.patience_with_silent_ones(robots))
     }
 
-    /// The interval until the next check. It is short while a robot that does not report by itself owes an answer or must be sent a
-    /// script again.
+    /// Returns the interval until the next check. It is short while a robot that does not report by itself owes an answer or must be sent
+    /// a script again.
     fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
@@ -503,13 +504,14 @@ impl Act {
         }
     }
 
-    /// How long after the reported instant a report may still arrive.
+    /// Returns how long after an event a robot's report of it may still arrive.
     pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
         longest_round_trip(self, robots) * 2 + REPORT_GRACE
     }
 
-    /// The time by which an unreachable robot has certainly ended its scripts of this act: the end of its leases, or, without leases, the
-    /// end of the scripts plus `patience`. Before the start, the decision and the commitment handle such a robot.
+    /// Returns the time by which an unreachable robot has certainly ended its scripts of this act. This is the end of its leases or,
+    /// without leases, the end of the scripts plus `patience`. `None` until the commitment, because the decision and the commitment then
+    /// handle such a robot.
     pub(crate) fn gives_up(
         &self,
         robot: usize,
@@ -530,7 +532,7 @@ impl Act {
         ends.max()
     }
 
-    /// The shortest lease under which a robot plays scripts of this act now.
+    /// Returns the shortest lease under which a robot now plays scripts of this act; `None` if it does not, or without a lease.
     pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
@@ -549,25 +551,25 @@ impl Act {
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
-    /// The shortest lease of this act on robots that also play the act `other`.
+    /// Returns the shortest lease of this act on robots that also take part in the act `other`.
     pub(crate) fn lease_with(&self, other: &Self) -> Option<Span> {
         let both = self.present().filter(|member| other.place_of(member.robot).is_some());
         both.flat_map(Member::scripts).filter_map(Script::shortest_lease).min()
     }
 
-    /// The start of the next script that a robot holds.
+    /// Returns the next time after `now` at which a script that a robot holds begins; `None` if there is no such script.
     pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
-    /// The shortest lease of a script that applies to it from now on.
+    /// Returns the shortest lease that applies to a script from now on.
     pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
         self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
     }
 
-    /// The shortest lease of this act that must be renewed between its rounds.
+    /// Returns the shortest lease of this act that must be renewed between two rounds of questions.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
         let timing = self.timing.as_ref()?;
         let before = (!self.is_playing()).then_some(timing.lead.lease);
@@ -578,7 +580,7 @@ impl Act {
         leases.chain(before).min()
     }
 
-    /// Requests the scenario's readings that are due.
+    /// Requests those sensor readings of the scenario that are due.
     fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = Vec::new();
         while self.reading_due().is_some_and(|due| now >= due) {
@@ -609,16 +611,17 @@ impl Act {
     }
 }
 
-/// How much later than planned a robot may be by its own clock, from the announced skew or the current reading. Negative if it is
-/// certainly earlier. If this is unknown, the value of the latest robot of the fleet.
+/// Returns how much later than planned a robot may play because of its clock; negative if it certainly plays earlier. The value follows
+/// from the announced skew or the current clock reading, whichever is larger. If both are unknown, returns the value of the latest robot
+/// of the fleet.
 pub(super) fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
     told.max(shown).unwrap_or(timing.pace.late)
 }
 
-/// Whether to ask a robot for reports again. It was last asked at `asked`, and its newest report was due at `due`. It is not asked while
-/// an answer is still under way: a robot that cannot keep up would receive more and more questions.
+/// Whether to ask a robot for reports again. It was last asked at `asked`, and its newest report was due at `due`. While an answer is
+/// still under way, the robot is not asked again: if it cannot keep up, it would receive more and more questions.
 fn may_be_asked(
     now: Timestamp<Server>,
     asked: Option<Timestamp<Server>>,
@@ -631,9 +634,9 @@ fn may_be_asked(
     due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
 }
 
-/// Whether a robot had the opportunity to report on a script since `due`. While this process is suspended, and before it resumes a
-/// mission, it neither sends inquiries nor reads messages. A robot that reports by itself has done so before it answers a question. The
-/// answer to an inquiry that does not contain the script is accepted only if the robot has ignored the script's id for `grace`.
+/// Whether a robot has had the opportunity to report on a script since `due`. While this process is suspended, and before it resumes a
+/// mission, it neither sends inquiries nor reads messages. A robot that reports by itself has done so before it answers a question. If an
+/// answer does not contain the script, it is accepted only after the robot has ignored the script's id for `grace`.
 fn was_asked(
     member: &Member,
     script: &Script,
@@ -648,7 +651,7 @@ fn was_asked(
     script.reported_at() >= Some(due) || ignored()
 }
 
-/// Whether the fate of a member's script may remain unknown after its time has passed.
+/// Whether the fate of any script of a member may remain unknown after the script's time has passed.
 fn may_lapse(member: &Member, robot: &RobotState) -> bool {
     lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
 }
@@ -658,13 +661,12 @@ fn lapses(robot: &RobotState) -> bool {
     !robot.tells_fates()
 }
 
-/// Whether no further report about a script may arrive: the robot reports by itself, cannot be asked, and reported to a process that has
-/// died.
+/// Whether the report about a script is lost: the robot reports by itself, cannot be asked, and has reported to a process that has died.
 fn lost_with_its_process(script: &Script, robot: &RobotState) -> bool {
     robot.reports() && !robot.takes_inquiries() && script.is_unheard_since_taken_up()
 }
 
-/// The time after which the fate of a sent script can no longer be learned; `None` if its robot reports it.
+/// Returns the time after which the fate of a sent script can no longer be learned; `None` if its robot reports it.
 fn lapses_at(timing: &Timing, script: &Script, robot: &RobotState, grace: Span) -> Option<Timestamp<Server>> {
     if script.is_final() {
         return None;

@@ -1,4 +1,5 @@
-//! Prepares an act: sends all its requests with one timestamp, and makes one decision: all robots have accepted, or none starts.
+//! Prepares an act: sends all its requests with one timestamp, and then makes one decision. If all robots have accepted, the act starts;
+//! otherwise, no robot starts.
 
 use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
@@ -11,7 +12,7 @@ use crate::script::{Script, ScriptRef};
 use crate::skew::SkewBudget;
 use crate::{Outcome, Progress};
 
-/// A decision that is overdue by more than this was delayed by this machine.
+/// If a decision is overdue by more than this, the cause is a delay of this machine.
 pub(super) const HELD_UP: Span = Span::from_millis(20);
 
 /// Whether robots that have not answered were asked again.
@@ -25,7 +26,7 @@ enum Asked {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Preparing {
     asked: Asked,
-    /// The members before this index have accepted everything.
+    /// All members before this index have accepted all their scripts.
     accepted: usize,
 }
 
@@ -39,7 +40,7 @@ impl Preparing {
 }
 
 impl Act {
-    /// The intended start of a ready act: the end of the previous act, or the time that the act waits for.
+    /// Returns the intended start of a ready act: the end of the previous act, or the time that the act waits for.
     pub(crate) const fn target(&self) -> Option<Timestamp<Server>> {
         match self.stage {
             Stage::Ready { target, .. } => target,
@@ -52,14 +53,14 @@ impl Act {
         matches!(&self.stage, Stage::Ready { look, .. } if look.is_none_or(|at| now >= at))
     }
 
-    /// Schedules the next check whether the act can be sent. This is also checked when something has changed.
+    /// Sets the time of the next check whether the act can be sent. A change of circumstances also causes such a check.
     pub(crate) fn look_again_at(&mut self, at: Option<Timestamp<Server>>) {
         if let Stage::Ready { look, .. } = &mut self.stage {
             *look = at;
         }
     }
 
-    /// Deserts the act if all its robots have been left out.
+    /// Marks the act as deserted if all its robots have been left out.
     pub(super) fn leave_if_deserted(&mut self) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
@@ -67,8 +68,8 @@ impl Act {
         Vec::new()
     }
 
-    /// Promises the act with these instants. `shift_of` returns, for each robot, the offset added to the act's timestamp. Returns the ids
-    /// of the requests, which are unique even after a crash of this machine.
+    /// Promises the act to its robots, with the instants in `timing`. `shift_of` returns the offset that converts the act's timestamp to
+    /// a robot's clock. Returns the ids of the requests, which are unique even after a crash of this machine, and the actions to perform.
     pub(crate) fn promise(
         &mut self,
         timing: Timing,
@@ -131,7 +132,7 @@ impl Act {
         }
     }
 
-    /// Withdraws the act if its promise is not on disk by the time of the decision, because the disk is slow.
+    /// Withdraws the act if the disk is so slow that the promise is not stored by the time of the decision.
     pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         match &self.timing {
             Some(timing) if now >= timing.decision => {
@@ -152,8 +153,8 @@ impl Act {
         self.members[script.member].change(script.script, |script| script.sent(now));
     }
 
-    /// Makes the one decision, as soon as all robots have accepted or when the decision is due. The act starts if every robot has
-    /// accepted everything; otherwise none starts.
+    /// Decides whether the act starts, as soon as all robots have accepted or when the decision is due. It starts only if every robot has
+    /// accepted all its scripts; otherwise, none starts.
     pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
@@ -214,7 +215,7 @@ impl Act {
         std::iter::once(ActAction::Record(record)).chain(tell).collect()
     }
 
-    /// Progress reported at the decision, and by a process that takes over the act before its commitment.
+    /// Returns the progress that is reported at the decision. A process that takes over the act before its commitment also reports it.
     pub(crate) fn decided(&self) -> Option<Progress> {
         let timing = self.timing.as_ref()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
@@ -223,13 +224,14 @@ impl Act {
     }
 }
 
-/// Whether a robot has had half of the preparation time to accept. It has less if the promise was stored late.
+/// Whether a robot has had at least half of the preparation time to accept its scripts. If the disk stored the promise late, it has had
+/// less.
 fn has_had_time(now: Timestamp<Server>, member: &Member, timing: &Timing) -> bool {
     let mut awaited = member.unaccepted(timing).filter_map(|(_, script)| script.first_sent_at());
     awaited.any(|sent| (now - sent) * 2 >= timing.lead.prepare)
 }
 
-/// The unanswered requests, to be sent again in case they were lost.
+/// Returns the unanswered requests, to be sent again in case they were lost.
 fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
     let waits =
         |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();

@@ -1,4 +1,4 @@
-//! An act that another process promised before it died.
+//! Takes over an act that another process promised before it died.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::resume::Changed;
 use crate::robot_state::{RobotState, Standing};
 use crate::script::ScriptRef;
 
-/// How far the other process came with an act.
+/// The last step that the other process completed for an act before it died.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reached {
     /// All robots had accepted.
@@ -29,8 +29,8 @@ pub(crate) enum Reached {
 const ROUND_TRIP: Span = Span::from_millis(10);
 
 impl Act {
-    /// Takes over a promised act. An act that was not committed must still be committed, if there is time. An act that was committed may
-    /// play.
+    /// Takes over an act that another process promised. If the act was not committed, this process commits it, provided that there is
+    /// time. If it was committed, it may already play.
     ///
     /// # Errors
     /// [`Changed`] if the promise does not match the choreography.
@@ -91,7 +91,8 @@ impl Act {
         Ok(act)
     }
 
-    /// If the act plays, keeps the doubt that was stated at the decision. This process does not know the leases and links of that time.
+    /// Keeps the interval of doubt that was stated at the decision, if the act plays. In this interval before the start, a robot's
+    /// silence may be noticed too late. This process cannot recompute it, because it does not know the leases and links of that time.
     pub(crate) fn keep_doubt(&mut self, stated: Option<Span>) {
         let plays = self.is_playing();
         if let Some(timing) = self.timing.as_mut().filter(|_| plays) {
@@ -131,7 +132,7 @@ impl Act {
         }
     }
 
-    /// The ids of all requests of the act, each with its robot and its script.
+    /// Returns the ids of all requests of the act, each with its robot and its script.
     pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
         let of_member = |(m, member): (usize, &super::Member)| {
             let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {

@@ -1,5 +1,5 @@
-//! Finds robots that will not start with the others although they hold their scripts. Their clocks show this, or the time for which no
-//! message has reached them.
+//! Finds robots that hold their scripts but will not start with the others. Their clocks show this, or no message has reached them for
+//! too long.
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
@@ -11,12 +11,13 @@ use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptState};
 use crate::skew::SkewBudget;
 
-/// The maximum error of a time due to a coarse clock.
+/// The maximum error of a robot's timestamp because its clock is coarse.
 const GRAIN: Span = Span::from_millis(5);
 
 impl Act {
-    /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. A robot whose clock
-    /// was set forward may start before the commitment. It is therefore checked as soon as this shows, not only then.
+    /// Returns members that would start too far from the others, because their clock has strayed since the act was sent. A robot whose
+    /// clock was set forward may start before the commitment. It is therefore reported as soon as its clock shows this, not only at the
+    /// commitment.
     pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
             return Vec::new();
@@ -27,8 +28,8 @@ impl Act {
         self.by_index(strayed, robots)
     }
 
-    /// The failure of a robot whose clock has been set since its scripts were translated, while the act plays. Scripts that have not
-    /// begun would start too far from their plan. `None` if that is not certain.
+    /// Returns the failure of a robot whose clock has been set while the act plays, after its scripts were converted to that clock. Its
+    /// remaining scripts would start too far from their plan. `None` if that is not certain.
     pub(crate) fn clock_was_set(
         &self,
         now: Timestamp<Server>,
@@ -51,7 +52,7 @@ impl Act {
         is_certain.then_some(FailureKind::Clock { offset, uncertainty, tolerance })
     }
 
-    /// How far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
+    /// Returns how far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
     fn deviation(
         &self,
         member: &Member,
@@ -77,8 +78,9 @@ impl Act {
         Some((deviation, reading.uncertainty + uncertainty))
     }
 
-    /// The deviation that all members have in common if this machine's clock differs from that of the process that translated their
-    /// scripts, and its uncertainty. Zero for an act that this process has sent. `None` until it is known.
+    /// Returns the deviation that all members have in common, and its uncertainty. It arises if this machine's clock differs from that of
+    /// the process that converted their scripts to their clocks. It is zero for an act that this process has sent; `None` until it is
+    /// known.
     fn common_deviation(
         &self,
         member: &Member,
@@ -109,9 +111,9 @@ impl Act {
         failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
     }
 
-    /// Adapts the leases if a clock is found to have changed since the act was sent, while the act approaches its start. Returns the
-    /// progress to report: the limits for failures and silence move with the end of the leases. A robot that starts before its lease ends
-    /// fails if there is no time left to end that lease earlier.
+    /// Adapts the leases of an act that approaches its start, if a clock is found to have changed since the act was sent. The limits for
+    /// failures and silence move with the end of the leases, and are returned as progress to report. If there is no time left to end a
+    /// lease before its robot starts, that robot fails.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(self.stage, Stage::Approaching(_)) {
             return Vec::new();
@@ -129,8 +131,8 @@ impl Act {
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }
 
-    /// Makes the leases end as early as the current clock readings require. Returns robots that still start earlier, if there is no time
-    /// left.
+    /// Makes the leases end as early as the current clock readings require. If there is no time left for this, returns the robots that
+    /// would start before their leases end.
     pub(super) fn allow_for_shown(
         &mut self,
         now: Timestamp<Server>,
@@ -145,8 +147,9 @@ impl Act {
         self.by_index(early, robots)
     }
 
-    /// The reason why a robot cannot have kept an accepted script: between two instants by its clock, no question reached it for longer
-    /// than its lease. The robot may not be able to report that. `None` after the last instant for a withdrawal.
+    /// Returns the failure of a robot that cannot have kept an accepted script. Between the two instants, by its clock, no question
+    /// reached the robot for longer than its lease. The robot may be unable to report this itself. `None` after the latest time for a
+    /// withdrawal.
     pub(crate) fn ran_out(
         &self,
         now: Timestamp<Server>,
@@ -165,8 +168,8 @@ impl Act {
         Some(link_lost(script, unreached(script)?, ("pending", lease)))
     }
 
-    /// The reason, like that of `ran_out`, why a robot cannot have kept a script that had already begun. The robot has dropped that
-    /// script, and all following scripts of its device.
+    /// Returns the failure of a robot that cannot have kept a script that had begun, because no message reached it for longer than its
+    /// running lease. The robot has dropped that script, and all following scripts of its device. The two instants are by its clock.
     pub(crate) fn broke_off(
         &self,
         robot: usize,

@@ -1,53 +1,56 @@
 //! The instants of an act that has been sent, and the leases with which it approaches its start.
 //!
-//! All leases before the start end at one instant, the *brink*, unless the act is committed. Every message to a robot up to the
-//! *critical* instant carries a lease that ends there. From the instant of the *commitment*, a little later, one message extends the
-//! lease of any robot beyond its start. Nothing is sent in between. A scheduler that dies before the commitment therefore starts no
-//! robot, and one that dies after it starts every robot. `docs/mission.md` draws it.
+//! A robot drops its scripts when its lease ends. Before the start, all leases end at one instant, the *brink*, unless the act is
+//! committed. Every message up to the *critical* instant carries a lease that ends at the brink. From the instant of the *commitment*, a
+//! little later, a single message extends the lease of any robot beyond its start. Nothing is sent between these two instants. Therefore,
+//! if a scheduler dies before the commitment, no robot starts; if it dies afterwards, every robot starts. `docs/mission.md` has a
+//! diagram.
 
 use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::lead::LeadTime;
 use crate::skew::SkewBudget;
 
-/// Minimum pending lease of the last rounds: several scheduling delays of a busy host.
+/// Minimum time for answers that the pending lease of the last rounds allows: several scheduling delays of a busy host.
 const FINAL_LEASE_MIN: Span = Span::from_millis(30);
-/// Minimum time between two rounds to robots that take inquiries.
+/// Minimum time between two rounds of questions to robots that take inquiries about their scripts.
 const PERIOD_MIN: Span = Span::from_millis(5);
-/// Minimum time between two rounds if a robot keeps the lease that was sent with its scripts.
+/// Minimum time between two rounds of questions if a robot keeps the lease that was sent with its scripts.
 const PERIOD_MIN_FIXED: Span = Span::from_millis(20);
-/// Duration of a round per robot: to write, send, read and answer one question.
+/// Time that each robot adds to a round of questions: to write, send, read and answer one question.
 const ROUND_EACH: Span = Span::from_micros(25);
-/// Duration of a round per script that is asked about.
+/// Time that each script adds to a round of questions about it.
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
-/// The maximum number of questions per robot that extend the time between two rounds.
+/// Each question to a robot in a round extends the time between two rounds. More questions than this do not extend it further.
 const QUESTIONS_MAX: usize = 3;
 /// The minimum time that a robot has to receive the commitment before its lease ends.
 const DELIVERY_MIN: Span = Span::from_millis(8);
-/// A withdrawal because of doubt is sent this long before its last instant: later than the arrival of the answers to the commitment.
+/// How long before its latest useful time a withdrawal is sent because a robot's start is in doubt. The answers to the commitment have
+/// arrived by then.
 const WITHDRAWN_BY: Span = Span::from_millis(5);
-/// How long a process may still run after it was stopped, as on a busy host.
+/// Length of a short stall of a process, as it occurs on a busy host.
 const STANDS_STILL: Span = Span::from_millis(10);
 /// Duration of a withdrawal on this machine and on the robot, in addition to its travel time.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
-/// The quiet before the planned start, in which messages that can wait are not sent, lasts one round trip and this time. Such messages
-/// wake threads, which take cores from robots that start on this host.
+/// The quiet period before the planned start lasts one round trip plus this time. Messages that can wait are not sent in this period.
+/// They would wake threads, which take cores from robots that start on this host.
 const QUIET_BEFORE: Span = Span::from_millis(1);
-/// The quiet begins at most this long before the start, however long a round trip takes.
+/// The quiet period begins at most this long before the start, however long a round trip takes.
 const QUIET_BEFORE_MAX: Span = Span::from_millis(5);
-/// The quiet ends this long after the planned start.
+/// The quiet period ends this long after the planned start.
 const QUIET_AFTER: Span = Span::from_millis(1);
 
-/// The maximum assumed start error of a robot whose clock was not measured, early or late, if the tolerance allows it.
+/// The maximum start error, early or late, that is assumed for a robot whose clock was not measured. A smaller tolerance of the scenario
+/// takes precedence.
 pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
 
-/// Whether robots permit the scheduler to shorten their pending leases.
+/// Whether the scheduler can shorten the pending leases (of scripts that wait for their start) on robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Leases {
-    /// All members take inquiries, and the scenario leaves the lease to the scheduler.
+    /// All members take inquiries, which can shorten leases, and the scenario leaves the lease to the scheduler.
     Shortened,
-    /// The leases stay as sent.
+    /// The leases stay as they were sent.
     Fixed,
 }
 
@@ -56,12 +59,12 @@ pub(crate) enum Leases {
 pub(crate) struct Measured {
     /// Number of robots.
     pub(crate) robots: usize,
-    /// Number of scripts that a round asks about.
+    /// Number of scripts that a round of questions asks about.
     pub(crate) scripts: usize,
-    /// The maximum number of questions per robot in a round: one for each lease.
+    /// The maximum number of questions per robot in a round of questions. Each different lease requires its own question.
     pub(crate) questions: usize,
     pub(crate) leases: Leases,
-    /// The longest of the round trips that links nearly always keep.
+    /// The longest round trip among all links, without rare outliers.
     pub(crate) round_trip: Span,
     /// How much earlier than planned a robot may start, because its clock is ahead.
     pub(crate) early: Span,
@@ -69,26 +72,25 @@ pub(crate) struct Measured {
     pub(crate) late: Span,
     /// How long the journal takes to put a record on the disk.
     pub(crate) record: Span,
-    /// How late this machine calls the scheduler, and therefore also the robots that run on it.
+    /// How late this machine wakes the scheduler, and therefore also the robots that run on the machine.
     pub(crate) lateness: Span,
 }
 
 impl Measured {
-    /// The number of questions that slow down the last rounds. More questions do not slow them further, because the interval of doubt
-    /// would become long.
+    /// Returns the number of questions that slow down the last rounds, at most [`QUESTIONS_MAX`]. Slower rounds would make the interval
+    /// of doubt long, in which a robot's silence is noticed too late.
     fn questions(&self) -> i64 {
         i64::try_from(self.questions.clamp(1, QUESTIONS_MAX)).unwrap_or(1)
     }
 
-    /// How long a round of questions takes.
+    /// Returns how long a round of questions takes.
     fn round(&self) -> Span {
         let count = |number: usize| i64::try_from(number).unwrap_or(i64::MAX);
         ROUND_EACH * count(self.robots) + ROUND_EACH_SCRIPT * count(self.scripts)
     }
 
-    /// The shortest pending lease of the last rounds. It covers the time in which robots start and the time for which a message may
-    /// still be under way, and leaves time for the answers of several rounds. On a busy machine, it also covers the delays of this
-    /// process and of a robot.
+    /// Returns the shortest pending lease of the last rounds. It covers the time in which robots start, the travel time of a message, and
+    /// the time for answers to several rounds. On a busy machine, it also covers the delays of this process and of a robot.
     pub(crate) fn lease_least(&self) -> Span {
         let answers = FINAL_LEASE_MIN.max(self.round_trip * 4).max(self.lateness * 3);
         self.early + self.late + self.round_trip + answers + self.round() * 2
@@ -102,18 +104,18 @@ pub(crate) struct Pace {
     round_trip: Span,
     early: Span,
     pub(crate) late: Span,
-    /// The pending lease of the last rounds.
+    /// The pending lease that the last rounds of questions set.
     final_lease: Span,
     /// The shortest possible value of `final_lease`.
     lease_least: Span,
-    /// Time from one of the last rounds to the next.
+    /// Time between two of the last rounds of questions.
     pub(crate) period: Span,
     record: Span,
     lateness: Span,
 }
 
 impl Pace {
-    /// The pace for a fleet whose requests carry this pending lease.
+    /// Returns the pace for a fleet whose requests carry the pending lease `lease`.
     pub(crate) fn of(measured: &Measured, lease: Span) -> Self {
         let round = measured.round();
         let lease_least = measured.lease_least().min(lease);
@@ -137,8 +139,8 @@ impl Pace {
         }
     }
 
-    /// The pace for a fleet that may start earlier and later than measured. `None` if the last rounds cannot carry the longer lease,
-    /// because one message could no longer reach beyond all starts.
+    /// Returns the pace for a fleet that may start earlier or later than measured, and so needs a longer last lease. `None` if that
+    /// exceeds `lease`, because a single message could no longer extend a lease beyond all starts.
     fn widened(self, (early, late): (Span, Span), lease: Span) -> Option<Self> {
         let (early, late) = (self.early.max(early), self.late.max(late));
         let lease_least = self.lease_least + (early - self.early) + (late - self.late);
@@ -149,18 +151,19 @@ impl Pace {
         (lease_least <= lease).then_some(Self { early, late, final_lease, lease_least, ..self })
     }
 
-    /// How long a robot may receive nothing around the critical instant: from the last round until the commitment, plus the variation of
-    /// the travel time.
+    /// Returns how long a robot may receive no message around the critical instant. This is the time from the last round to the
+    /// commitment, plus the variation of the travel time.
     pub(crate) fn silence(&self) -> Span {
         self.period + self.early + self.late + self.round_trip * 3 / 2
     }
 
-    /// The minimum time from the decision to the start: four of the last rounds, in which the commitment is written, and the last lease.
+    /// Returns the minimum time from the decision to the start. It covers the final lease and four of the last rounds of questions,
+    /// during which the commitment is written to disk.
     pub(crate) fn needed(&self) -> Span {
         self.early + self.round_trip + self.final_lease + self.period * 4 + self.record
     }
 
-    /// The minimum time from the end of the leases that requests carry to the start.
+    /// Returns the minimum time between the end of the leases that the requests carry and the start.
     pub(crate) fn margin(&self) -> Span {
         self.early + self.round_trip * 3 / 2
     }
@@ -177,26 +180,27 @@ pub(crate) struct Timing {
     /// The planned time of the last step.
     pub(crate) end: Timestamp<Server>,
     pub(crate) pace: Pace,
-    /// The spread of the starts that the clocks allow.
+    /// How far apart the robots may start because of their clocks; `None` if unknown.
     pub(crate) skew: Option<SkewBudget>,
-    /// The doubt that the previous process stated, if this one has taken over the act after its start.
+    /// The interval of doubt before the start, as the previous process stated it. `None` unless this process has taken over the act after
+    /// its start.
     pub(crate) stated_doubt: Option<Span>,
-    /// The robot whose link determines the lead, and its round trip.
+    /// The robot whose slow link determines the lead (from sending to the start), and its round trip.
     pub(crate) slowest: Option<(RobotId, Span)>,
     /// How much later than intended the act starts. The intended start is the end of the previous act, or the time that the act waits
     /// for.
     pub(crate) gap: Option<Span>,
-    /// The shortest lease under which its robots may still play an earlier act. These robots are not left without a message for longer
-    /// than that while this act is being committed.
+    /// The shortest lease under which robots of this act may still play an earlier act; `None` if no robot does. While this act is being
+    /// committed, those robots receive messages at shorter intervals than this.
     pub(crate) played: Option<Span>,
     /// Arrival time of the last acceptance.
     pub(crate) accepted_at: Option<Timestamp<Server>>,
-    /// The sending time of the commitment, and the arrival time of its last answer; `None` until all have answered.
+    /// The sending time of the commitment, and the arrival time of the last answer to it; `None` until all robots have answered.
     pub(crate) round: Option<(Timestamp<Server>, Timestamp<Server>)>,
 }
 
 impl Timing {
-    /// The instants of an act that is sent at `timestamp` and plays for `duration`.
+    /// Returns the instants of an act that is sent at `timestamp` and plays for `duration`.
     pub(crate) fn new(timestamp: Timestamp<Server>, lead: LeadTime, pace: Pace, duration: Span) -> Self {
         let start = timestamp + lead.total();
         Self {
@@ -216,9 +220,9 @@ impl Timing {
         }
     }
 
-    /// Adapts the leases to a clock that was set since the act was sent: its robot may start earlier or later than planned, within the
-    /// tolerance. The leases must end before that start or reach beyond it. Two of the last rounds must remain for this, and robots that
-    /// still play must not be left alone for too long. Returns whether that is possible.
+    /// Adapts the leases to a clock that was set since the act was sent. Its robot may start earlier or later than planned, within the
+    /// tolerance. The leases must end before that start, or the commitment must extend them beyond it. Two of the last rounds must remain
+    /// for this, and robots that still play must not be left without a message for too long. Returns whether all of this is possible.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) -> bool {
         let before = self.pace;
         let widened = before.widened(early_and_late, self.lead.lease);
@@ -234,69 +238,70 @@ impl Timing {
         in_time
     }
 
-    /// By how much a robot may start earlier than planned and still lose its lease before that. This assumes that a message to it travels
-    /// for at most half a round trip.
+    /// Returns how early, at most, a robot may start so that its lease still ends before its start if the act is not committed. A message
+    /// to the robot is assumed to travel for at most half a round trip.
     pub(crate) fn early_at_most(&self) -> Span {
         self.pace.early + self.pace.round_trip / 2
     }
 
-    /// How much earlier than planned a robot may start, because its clock is ahead.
+    /// Returns how much earlier than planned a robot may start, because its clock is ahead.
     pub(crate) const fn early(&self) -> Span {
         self.pace.early
     }
 
-    /// The earliest start of a robot whose clock is ahead.
+    /// Returns the earliest start of a robot whose clock is ahead.
     pub(crate) fn earliest_start(&self) -> Timestamp<Server> {
         self.start - self.pace.early
     }
 
-    /// The instant at which all leases end, unless the act is committed. Messages sent before it may arrive up to a round trip later, and
-    /// a robot whose clock is ahead starts before the others.
+    /// Returns the brink: the instant at which all leases end, unless the act is committed. It precedes the earliest start by one round
+    /// trip, because messages sent before it may arrive that much later.
     pub(crate) fn brink(&self) -> Timestamp<Server> {
         self.earliest_start() - self.pace.round_trip
     }
 
-    /// The critical instant. A later message may extend the lease of a robot beyond its start, so nothing is sent from here until the
-    /// commitment.
+    /// Returns the critical instant. A message sent later may extend a robot's lease beyond its start. Nothing is therefore sent from
+    /// this instant until the commitment.
     pub(crate) fn critical(&self) -> Timestamp<Server> {
         self.brink() - self.pace.final_lease
     }
 
-    /// The instant from which one message extends the lease of any robot beyond its start, including a robot that starts late.
+    /// Returns the earliest instant at which a single message extends the lease of any robot beyond its start, even if the robot starts
+    /// late.
     pub(crate) fn commit_from(&self) -> Timestamp<Server> {
         self.begun() - self.pace.final_lease
     }
 
-    /// The latest instant at which the commitment still reaches every robot before its lease ends. `last_round` is the time of the last
-    /// message.
+    /// Returns the latest time to send the commitment so that it reaches every robot before its lease ends. `last_round` is the time of
+    /// the last message before it.
     pub(crate) fn commit_by(&self, last_round: Timestamp<Server>) -> Timestamp<Server> {
         let leases_end = self.brink().min(last_round + self.lease_at(last_round));
         leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2).max(self.pace.lateness)
     }
 
-    /// The latest instant at which robots that still play must receive another message, if nothing was sent since `last_round`. `None` if
-    /// no robot still plays under a lease.
+    /// Returns the latest time for the next message to robots that still play another act, if the last one was sent at `last_round`.
+    /// `None` if no robot still plays under a lease.
     pub(crate) fn speak_by(&self, last_round: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(last_round + self.played? - DELIVERY_MIN.max(self.pace.round_trip * 2))
     }
 
-    /// The pending lease that a message at this instant must carry.
+    /// Returns the pending lease that a message sent at `at` must carry, so that it ends at the brink.
     pub(crate) fn lease_at(&self, at: Timestamp<Server>) -> Span {
         (self.brink() - at).max(Span::ZERO).min(self.lead.lease)
     }
 
-    /// Whether a message may go to a robot after the critical instant, behind a question with a lease that still ends at the brink.
-    /// Enough time must remain for the commitment.
+    /// Whether an urgent message may still be sent to a robot after the critical instant. It follows a question whose lease ends at the
+    /// brink, and must leave enough time for the commitment.
     pub(crate) fn lets_through(&self, at: Timestamp<Server>) -> bool {
         self.pace.leases == Leases::Shortened && self.lease_at(at) >= DELIVERY_MIN * 2
     }
 
-    /// The pending lease of the last rounds, for a script that begins with the act.
+    /// Returns the pending lease of the last rounds, for a script that begins with the act.
     pub(crate) const fn final_lease(&self) -> Span {
         self.pace.final_lease
     }
 
-    /// When the next round is due after one at `now`, while the act approaches its start.
+    /// Returns when the next round of questions is due after a round at `now`, while the act approaches its start.
     pub(crate) fn round_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         let left = (self.critical() - now) / 3;
         let interval = (self.lease_at(now) / 4).min(left).max(self.pace.period);
@@ -308,54 +313,56 @@ impl Timing {
         }
     }
 
-    /// How long the record of the commitment may take.
+    /// Returns the time that writing the record of the commitment may take.
     pub(crate) const fn recording(&self) -> Span {
         self.pace.record
     }
 
-    /// The earliest instant for writing the commitment. It is written then, or later, once every robot holds its scripts.
+    /// Returns the earliest time to write the record of the commitment. It is written then, or later, once every robot holds its scripts.
     pub(crate) fn record_from(&self) -> Timestamp<Server> {
         self.critical() - self.pace.record - self.pace.period * 2
     }
 
-    /// The latest instant at which a known failure can be withdrawn before any robot starts.
+    /// Returns the latest time at which the act can be withdrawn after a failure, before any robot starts.
     pub(crate) fn no_return(&self) -> Timestamp<Server> {
         self.start - self.pace.early - self.pace.round_trip * 3 - WITHDRAWAL
     }
 
-    /// The latest instant at which a withdrawal should still reach every robot before it starts.
+    /// Returns the latest time to send a withdrawal that should still reach every robot before it starts.
     pub(crate) fn last_withdrawal(&self) -> Timestamp<Server> {
         self.start - self.pace.early - self.pace.round_trip - WITHDRAWN_BY
     }
 
-    /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
+    /// Returns the length of the interval before the start in which a robot's sudden silence may be noticed too late to prevent the
+    /// start.
     pub(crate) fn doubt(&self) -> Span {
         self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
     }
 
-    /// The instant from which silence may be noticed too late.
+    /// Returns the instant from which a robot's silence may be noticed too late to prevent the start.
     pub(crate) fn doubtful_from(&self) -> Timestamp<Server> {
         self.start - self.doubt()
     }
 
-    /// When robots that have not answered are asked again, in time for the decision.
+    /// Returns when requests are sent again to robots that have not answered them, in time for the decision.
     pub(crate) fn ask_again(&self) -> Timestamp<Server> {
         self.timestamp + (self.decision - self.timestamp) * 2 / 3
     }
 
-    /// When a message that can wait may be sent if it is due at `at`: at that instant, or at the end of the quiet around the start.
+    /// Returns when to send a message that is due at `at` but can wait: at that instant, or at the end of the quiet period around the
+    /// start.
     pub(crate) fn out_of_quiet(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         let before = (self.pace.round_trip + QUIET_BEFORE).min(QUIET_BEFORE_MAX);
         let until = self.start + QUIET_AFTER;
         if at > self.start - before && at < until { until } else { at }
     }
 
-    /// The instant before which no robot starts.
+    /// Returns the earliest instant at which a robot may start.
     pub(crate) fn begins(&self) -> Timestamp<Server> {
         self.start - self.pace.early
     }
 
-    /// The instant by which the last robot has started.
+    /// Returns the instant by which the last robot has started.
     pub(crate) fn begun(&self) -> Timestamp<Server> {
         self.start + self.pace.late
     }
@@ -369,7 +376,7 @@ mod tests {
         timing_on(leases, round_trip, Span::ZERO)
     }
 
-    /// The timing on a machine with this lateness.
+    /// Returns the timing on a machine with this lateness.
     fn timing_on(leases: Leases, round_trip: Span, lateness: Span) -> Timing {
         let (early, late) = (Span::from_millis(1), Span::from_millis(2));
         let record = Span::from_millis(20);

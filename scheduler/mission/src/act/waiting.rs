@@ -65,7 +65,8 @@ impl Act {
         }
     }
 
-    /// The start that the operator or the scenario specifies, or an error if the clocks skip that time.
+    /// Returns the start that the operator or the scenario specifies, or an error if the local clocks skip that time. `None` if neither
+    /// specifies a start.
     fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
         if let Some(at) = self.fixed {
             return Some(Ok(at));
@@ -77,12 +78,13 @@ impl Act {
         }
     }
 
-    /// The start that the operator or the scenario fixes.
+    /// Returns the start that the operator or the scenario fixes; `None` if neither does.
     pub(crate) fn fixed_start(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
         self.fixed_target(options).map(instant_of)
     }
 
-    /// The start of an act with a fixed start: the fixed instant, or the end of the previous act if that is later.
+    /// Returns the start of an act with a fixed start: the fixed instant, or the end of the previous act if that is later. `None` if the
+    /// start is not fixed.
     pub(crate) fn start_to_keep(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
         self.fixed_start(options).and(self.target())
     }
@@ -117,8 +119,8 @@ impl Act {
         counts
     }
 
-    /// A description of the act's condition for users, once the act waits; `None` for an act that follows at once. An act waits for a
-    /// time even while an earlier act plays, but for the operator and sensors only after that.
+    /// Returns a report of the act's condition for users, once the act waits; `None` for an act that follows at once. An act waits for a
+    /// time even while an earlier act plays, but for the operator and sensors only after that act has ended.
     pub(crate) fn announcement(&mut self, options: &MissionOptions) -> Option<Progress> {
         let (fixed, alone) = (self.fixed_target(options), self.is_alone());
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
@@ -148,8 +150,8 @@ impl Act {
     }
 }
 
-/// The start of an act with this target. A mission that plays can no longer be refused: if the clocks skip the time of an act, the act
-/// starts at that instant.
+/// Returns the start of an act with this target. A mission that plays can no longer be refused. Therefore, if the local clocks skip the
+/// act's time, the act starts at the instant of the skip.
 fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
     target.unwrap_or_else(|skipped| skipped.at)
 }

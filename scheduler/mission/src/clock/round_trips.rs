@@ -1,18 +1,18 @@
-//! The current duration of round trips: a high quantile of the latest ones, so that old ones are forgotten. `docs/clocks.md` has the
-//! reasons.
+//! The current duration of round trips: a high quantile of the latest ones, so that old ones are forgotten. `docs/clocks.md` explains
+//! why.
 
 use std::collections::VecDeque;
 
 use urrcp::{Server, Span, Timestamp};
 
-/// The maximum number of exchanges considered. The third largest of them is above their 95th percentile.
+/// The maximum number of round trips considered. The third largest of them is above their 95th percentile.
 const EXCHANGES_MAX: usize = 64;
 /// Exchanges that are older than this are ignored.
 const WINDOW: Span = Span::from_millis(30_000);
-/// The minimum number of exchanges that are kept, whatever their age. On a rarely used link, a slow exchange is therefore not the only
-/// one.
+/// The minimum number of exchanges that are kept, whatever their age. On a rarely used link, several exchanges are therefore known, not
+/// only a slow one.
 const EXCHANGES_KEPT: usize = 3;
-/// The minimum number of exchanges of which two may be outliers; below it, only one.
+/// From this number of exchanges on, two of them may be outliers; below it, only one.
 const EXCHANGES_MANY: usize = 32;
 
 /// The latest round trips with one robot, in bounded memory.
@@ -24,9 +24,9 @@ pub(super) struct RoundTrips {
 }
 
 impl RoundTrips {
-    /// Adds an exchange that ended at `at`, and discards those that have left the window. Exchanges that began during another one
-    /// describe the same moment of the link. They are merged with it, keeping the longest duration. This also applies to a second answer
-    /// to a question, however many other questions were answered before it.
+    /// Adds an exchange that ended at `at`, and discards those that are too old. Exchanges that began during another one describe the
+    /// same moment of the link. They are merged into one exchange with the longest duration. This also applies to a second answer to a
+    /// question, however many other questions were answered before it.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
         let (began, outliers) = (at - delay, self.outliers());
         let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
@@ -55,7 +55,7 @@ impl RoundTrips {
         }
     }
 
-    /// Discards the exchanges after the exchange `same` that began before its end, because they describe the same moment. Returns the
+    /// Discards the exchanges after the one at index `same` that began before `ended`, because they describe the same moment. Returns the
     /// longest of their durations.
     fn forget_between(&mut self, same: usize, ended: Timestamp<Server>) -> Span {
         let mut largest = Span::ZERO;
@@ -69,12 +69,12 @@ impl RoundTrips {
         largest
     }
 
-    /// The current duration of round trips. Isolated outliers do not change it; three in a row raise it immediately.
+    /// Returns the current duration of round trips. Isolated outliers do not change it; three in a row raise it immediately.
     pub(super) const fn high(&self) -> Span {
         self.high
     }
 
-    /// Whether there are enough exchanges to exclude an outlier.
+    /// Whether there are enough exchanges to leave out an outlier.
     pub(super) fn tell_outliers(&self) -> bool {
         self.latest.len() >= EXCHANGES_KEPT
     }
@@ -87,7 +87,7 @@ impl RoundTrips {
         }
     }
 
-    /// The third largest of 32 or more round trips, the second largest of three or more, else the largest.
+    /// Returns the third largest of 32 or more round trips, the second largest of three or more, else the largest.
     fn above_outliers(&self) -> Span {
         let largest = self.latest.iter().fold([Span::ZERO; 3], |[first, second, third], (_, delay)| {
             let (delay, first) = (first.min(*delay), first.max(*delay));
@@ -106,7 +106,7 @@ mod tests {
         Span::from_millis(millis)
     }
 
-    /// One exchange every `pause`, each with its delay in milliseconds.
+    /// Round trips that end `pause` apart, with these delays in milliseconds.
     fn after(pause: Span, delays: impl IntoIterator<Item = i64>) -> (RoundTrips, Timestamp<Server>) {
         let mut trips = RoundTrips::default();
         let mut at = Timestamp::from_nanos(0);

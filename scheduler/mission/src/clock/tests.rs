@@ -262,7 +262,7 @@ fn a_clock_that_may_just_be_right_is_not_blamed() {
     assert_eq!(ClockDoubt::of(micros(-6), micros(5)), ClockDoubt::Clock);
 }
 
-/// The number of bins for the drift, and the number of their doublings.
+/// Returns the number of bins that measure the drift, and how often their width was doubled.
 fn remembered(estimate: &ClockEstimate) -> (usize, u32) {
     (estimate.history.bins.len(), estimate.history.doublings)
 }

@@ -1,7 +1,7 @@
 //! The one loop that drives a mission, in real time (`run/`), in virtual time (`dry_run/`) and under faults (`simulation/`).
 //!
 //! The loop takes events, passes them to the mission, performs the actions in order, and waits until an event occurs or the mission is
-//! due. A [`World`] contains the differences: clock, links, journal, output, operator.
+//! due. A [`World`] implements everything that differs between these uses: clock, links, journal, output, operator.
 //!
 //! Every world processes the events of one instant in this order:
 //! 1. commands of the operator;
@@ -32,11 +32,11 @@ const ROUND_MAX: usize = 1_024;
 
 /// The environment of a mission: clock, links, journal, output, operator.
 pub trait World {
-    /// The current time of the server's clock.
+    /// Returns the current time of the server's clock.
     fn now(&self) -> Timestamp<Server>;
 
-    /// Returns the next event until `until`, in the order that this module documents. `None` if no event has occurred until then. Without
-    /// `until`, waits until an event occurs.
+    /// Returns the next event, in the order that this module documents; `None` if no event occurs until `until`. If `until` is `None`,
+    /// waits until an event occurs.
     fn next(&mut self, until: Option<Timestamp<Server>>) -> impl Future<Output = Option<Happened>>;
 
     /// Starts to connect to a robot after the pause `after`. Events of the new connection carry the number `link`. An older link to the
@@ -64,7 +64,7 @@ pub trait World {
     /// Reports progress to the operator.
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress);
 
-    /// The driver calls this method at each iteration of its loop. It must not block.
+    /// Called by the driver at each iteration of its loop. Must not block.
     fn turned(&mut self, _mission: &Mission) {}
 
     /// Answers the operator's oldest unanswered go: with the act that the go permits to begin, or with the reason why the go is ignored.
@@ -120,7 +120,7 @@ pub enum Happened {
         /// The event for the mission.
         event: Box<Event>,
     },
-    /// The operator leaves without waiting for anything, or no event can ever occur again.
+    /// The operator leaves without waiting for the end of the mission, or no event can ever occur again.
     Left,
     /// The process was killed.
     Killed,
@@ -167,7 +167,7 @@ pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Rep
     }
 }
 
-/// Runs a future that never blocks.
+/// Runs a future to its end. Panics if the future has to wait.
 pub fn at_once<F: Future>(future: F) -> F::Output {
     match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(output) => output,
@@ -178,9 +178,9 @@ pub fn at_once<F: Future>(future: F) -> F::Output {
 /// State of the loop between two events.
 struct Driver {
     links: Links,
-    /// Consequences of performed actions, to be passed to the mission next.
+    /// Events that follow from performed actions, to be passed to the mission next.
     pending: VecDeque<(Timestamp<Server>, Event)>,
-    /// Number of durable records that did not have to wait for a disk.
+    /// Number of durable records that the driver accepted without waiting for a disk.
     recorded: u64,
     journal: JournalState,
 }

@@ -1,4 +1,4 @@
-//! The loop in a test world.
+//! Tests of the loop that drives a mission, in a simulated environment.
 
 use downbeat_plan::{DeviceScript, Plan, RobotPlan};
 use urrcp::{

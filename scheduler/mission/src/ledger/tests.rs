@@ -19,7 +19,7 @@ enum Open {
     No,
 }
 
-/// An act of one robot, with the number of scripts that each of its devices plays.
+/// An act of one robot. `scripts` contains each device and the number of scripts that it plays.
 fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]) -> Act {
     let planned: Vec<Planned> = scripts
         .iter()
@@ -61,8 +61,8 @@ fn robots(queue: usize) -> Vec<RobotState> {
     vec![bench::robot("r0", Tells::Everything, queue)]
 }
 
-/// The sent scripts, by act and by the index of the script in the act. Each is accepted at once, because the following scripts of a
-/// device wait for the first one.
+/// Sends all scripts that may be sent, and returns them by act and by index in the act. Each script is accepted at once, because the
+/// following scripts of its device wait for that.
 fn send_all(acts: &mut [Act], robots: &[RobotState]) -> Vec<(u32, usize)> {
     let mut sent = Vec::new();
     loop {

@@ -42,7 +42,8 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
     ]
 }
 
-/// The clock modes. They must be listed by hand, because the type is from another crate. A new variant does not compile.
+/// The clock modes. They must be listed by hand, because the type is from another crate. If it gains a variant, this list does not
+/// compile.
 const CLOCK_MODES: [&str; 2] = [clock_mode(ClockMode::Ntp), clock_mode(ClockMode::Measured)];
 
 const fn clock_mode(mode: ClockMode) -> &'static str {
@@ -71,7 +72,8 @@ fn schema() -> Value {
     serde_json::from_str(SCHEMA).unwrap()
 }
 
-/// The words that a part of the schema permits. For an object with one required key: that key, or the values of its `state`.
+/// Collects the words that a part of the schema permits. For an object with one required key, these are that key or the values of its
+/// `state`.
 fn words(schema: &Value, found: &mut BTreeSet<String>) {
     let text = |word: &Value| word.as_str().map(str::to_owned);
     found.extend(schema["enum"].as_array().into_iter().flatten().filter_map(text));

@@ -1,4 +1,4 @@
-//! The report of a mission. The module `show` of `downbeat` writes its text.
+//! The report of a mission. The module `show` of `downbeat` formats it as text.
 
 #[cfg(test)]
 mod kinds;
@@ -42,7 +42,7 @@ pub struct Report {
     pub acts_max_reached: Option<u32>,
     /// Planned start of the first cue of the first reported act, by the server's clock.
     pub start: Option<Timestamp<Server>>,
-    /// The components of the time until the start.
+    /// The components of the lead time of the first reported act.
     pub lead: Option<LeadTime>,
     /// The largest spread of starts of any act, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
@@ -65,12 +65,13 @@ pub struct Report {
     pub acts_omitted: usize,
     /// The results of each robot over all acts, in the order of the fleet.
     pub robots: Vec<RobotReport>,
-    /// The failures of each robot, in order. If a robot fails repeatedly, only its first failures.
+    /// The failures of each robot, in order. If a robot fails repeatedly, only its first failures are listed.
     pub failures: Vec<Failure>,
     /// The outcome of the move to the default positions. `None` if no move home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub home: Option<TransferReport>,
-    /// The outcome of the approach to the act after the last failure. `None` if no approach was necessary.
+    /// The outcome of the approach (the move to the first positions of the act after the last failure). `None` if no approach was
+    /// necessary.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub approach: Option<TransferReport>,
     /// Robots driven by this process whose hardware may not be at rest, each with the reason.
@@ -135,8 +136,8 @@ pub struct RobotReport {
     /// Devices that declare a latency different from the compensated one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
-    /// Whether the robot declares `pending_until`, and therefore drops a script that was not decided. `None` if it has not described
-    /// itself.
+    /// Whether the robot declares `pending_until`, and therefore drops a script whose start was not decided. `None` if the robot has not
+    /// described itself.
     pub pending_until: Option<bool>,
     /// Whether the robot is known to be at rest after a stop.
     pub stop: StopState,
@@ -193,7 +194,7 @@ impl Report {
         mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))
     }
 
-    /// Makes the operator leave the mission now, without waiting for anything, and returns its report.
+    /// Ends the mission at once because the operator leaves, and returns its report without waiting for anything.
     #[must_use]
     pub fn as_left(mission: &mut Mission, now: Timestamp<Server>) -> Self {
         mission.leave(now);

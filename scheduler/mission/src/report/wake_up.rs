@@ -3,7 +3,8 @@
 use serde::Serialize;
 use urrcp::Span;
 
-/// A wake-up later than `start_tolerance` divided by this causes a warning. The clocks need most of the tolerance.
+/// A wake-up that is late by more than `start_tolerance` divided by this number causes a warning. Clock errors need the rest of the
+/// tolerance.
 const SHARE: i64 = 4;
 
 /// How late this host wakes its robots, as a preflight measured it.

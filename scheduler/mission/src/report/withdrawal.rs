@@ -7,7 +7,7 @@ use super::{Outcome, Report, RobotReport, StopState};
 use crate::Failure;
 
 /// The report of a direct stop. A direct stop does not know the earlier course of the mission, so the keys for that are missing. The
-/// report of a mission contains all keys of this report, so a stop reads both in the same way.
+/// report of a mission contains all keys of this report, so both can be read in the same way.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Withdrawal {
     /// The scenario's name.

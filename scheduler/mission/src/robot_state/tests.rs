@@ -1,4 +1,4 @@
-//! Questions and their answers, stops and their confirmations, links and attempts.
+//! Tests of questions and their answers, stops and their confirmations, and links and attempts to reconnect.
 
 use urrcp::{ErrorCode, Interpolation, StatusValue};
 

@@ -5,7 +5,7 @@ use urrcp::RobotId;
 use super::{Ending, Script, ScriptState};
 
 impl Script {
-    /// Whether no other process can have sent the script.
+    /// Whether only this process can have sent the script.
     pub(crate) const fn is_of_this_process(&self) -> bool {
         !self.perhaps_sent
     }

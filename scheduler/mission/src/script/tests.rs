@@ -1,4 +1,4 @@
-//! Tests with any reports of a robot about a script, in any order.
+//! Tests in which a robot sends arbitrary reports about a script in arbitrary order.
 
 use proptest::prelude::*;
 
@@ -19,7 +19,7 @@ enum Said {
     Unknown,
     /// The script is sent again.
     Sent,
-    /// The time of the script has passed, and no message came.
+    /// The time of the script has passed, and no message about it has arrived.
     Lapses,
 }
 
@@ -30,7 +30,7 @@ fn sent() -> Script {
     script
 }
 
-/// Passes a report to the script, `millis` after the script was sent.
+/// Passes a report to the script, `millis` milliseconds after the script was sent.
 fn take(script: &mut Script, said: Said, millis: i64) -> News {
     let now = at(millis);
     let id = script.request_id().unwrap().clone();

@@ -1,4 +1,4 @@
-//! The mission prepares acts again if this machine was too slow to start them.
+//! Tests of acts that are prepared again because this machine was too slow to start them.
 
 use downbeat_plan::OnFailure;
 
@@ -98,7 +98,8 @@ fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
     assert_eq!(played.run_to_the_end(), LATE);
 }
 
-/// The act starts at 2 s and is withdrawn shortly before.
+/// A mission whose act has a fixed start at 2 s and is withdrawn shortly before. `within` is the permitted delay of the start in
+/// milliseconds.
 fn is_late_for_its_start(within: i64) -> Played {
     let mut mission = begins_at_once(Everything);
     let start = FixedStart { act: 0, at: at(2_000) };
@@ -140,7 +141,7 @@ fn a_start_that_is_too_soon_is_later_within_the_permitted_time() {
     assert_eq!(Played::begun(mission).run_to_the_end(), Outcome::Done);
 }
 
-/// Two acts. The first one plays, and the second one, which follows immediately, has been sent.
+/// A mission with two acts. The first one plays, and the second one, which follows immediately, has been sent.
 pub(super) fn chained(drops_undecided: bool) -> Played {
     let mut mission = waits_in(2);
     mission.robots[0].block.as_mut().unwrap().pending_until = drops_undecided;
@@ -150,7 +151,7 @@ pub(super) fn chained(drops_undecided: bool) -> Played {
     played
 }
 
-/// The second act is withdrawn, and its robot drops it.
+/// A mission with two acts. The second act was withdrawn, and its robot has dropped it.
 fn lapses() -> Played {
     let mut played = chained(true);
     played.is_withdrawn();
@@ -159,7 +160,7 @@ fn lapses() -> Played {
     played
 }
 
-/// The script of the second act.
+/// The request id of the second act's script.
 pub(super) fn second(played: &Played) -> RequestId {
     played.mission.acts[1].members()[0].scripts()[0].request_id().cloned().unwrap()
 }
@@ -275,7 +276,7 @@ fn an_act_that_a_robot_has_begun_is_not_prepared_again() {
     assert_eq!(played.starts(), 1);
 }
 
-/// Three robots; the first `silent` ones do not accept in time.
+/// A mission with three robots. The first `silent` robots do not accept their scripts in time.
 fn accepts_late(silent: usize, on_failure: OnFailure) -> Played {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
     let mut choreography = choreography(&scripts);

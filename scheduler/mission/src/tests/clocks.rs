@@ -1,11 +1,11 @@
-//! Clocks that turn out to differ from those by which an act was sent.
+//! Tests of clocks that turn out to differ from the clocks by which an act was sent.
 
 use super::played::Played;
 use super::*;
 use crate::bench::ms;
 
-/// One act of three robots that was sent. The clocks of the second and the third have been set since, in opposite directions, and only
-/// the third has not answered yet.
+/// A mission with one act of three robots that was sent. The clocks of the second and the third robot have since been set, in opposite
+/// directions, and only the third robot has not answered yet.
 fn two_have_strayed() -> Mission {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
@@ -55,8 +55,8 @@ fn a_robot_whose_clock_has_strayed_from_what_two_acts_were_sent_by_is_blamed_onc
     assert_eq!(blamed.len(), 2, "{blamed:?}");
 }
 
-/// Two acts of a robot whose clock is 400 ms ahead, and whose scripts have this running lease. Returns the time at which the second act
-/// is sent, and the time at which the robot ends the first one.
+/// Plays two acts of a robot whose clock is 400 ms ahead. `running` is the running lease of its scripts in milliseconds. Returns the time
+/// at which the second act is sent, and the time at which the robot ends the first one.
 fn second_is_sent(running: i64) -> (Timestamp<Server>, Timestamp<Server>) {
     let mut mission = waits_in(2);
     mission.options.greeting = Greeting::Full;

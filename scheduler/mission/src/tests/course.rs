@@ -125,7 +125,7 @@ fn the_report_of_an_act_tells_its_instants() {
     assert_eq!((device.steps_done, device.steps_planned, device.late_steps), (2, 2, 0));
 }
 
-/// One act of two robots. If one fails, the other continues.
+/// A mission with one act of two robots. If one robot fails, the other continues.
 pub(super) fn without_those_that_fail() -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
     choreography.acts[0].on_failure.default = OnFailure::Without;
@@ -272,7 +272,7 @@ fn the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience(
     assert!(matches!(mission.outcome(), Some(Outcome::JournalLost { .. })), "{:?}", mission.outcome);
 }
 
-/// The outcome of a mission that is sent with these options, before any script plays.
+/// The outcome of a mission whose act is sent with these options, before any script plays.
 fn sent_with(lease: Option<i64>, options: impl Fn(&mut MissionOptions)) -> Option<Outcome> {
     let mut mission = begins_at_once(Everything);
     let mut choreography = Choreography::clone(&mission.choreography);
@@ -442,7 +442,7 @@ fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_s
     assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
 }
 
-/// Robots of one act. The first one has played all of it, and the others continue to play.
+/// A mission with one act. Its first robot has played its whole script, and the other robots continue to play.
 fn the_first_is_done(tells: &[Tells]) -> Played {
     let scripts: Vec<Planned> =
         (0..tells.len()).map(|robot| ("a", 0, if robot == 0 { 100 } else { 10_000 })).collect();

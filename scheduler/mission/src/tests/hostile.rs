@@ -1,4 +1,4 @@
-//! Robots that send too many messages, and robots for which the others would have to wait without bound.
+//! Tests of robots that send too many messages, and of robots for which the others would have to wait without bound.
 
 use downbeat_plan::OnFailure;
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::bench::{ms, robot};
 use crate::lead::{LEASE_MAX, ROUND_TRIP_LONGEST};
 
-/// One act of two robots. If one fails, the other continues.
+/// A mission with one act of two robots. If one robot fails, the other continues.
 pub(super) fn of_two(tolerance: Span) -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].on_failure.default = OnFailure::Without;
@@ -74,7 +74,7 @@ fn a_robot_that_floods_while_robots_are_greeted_is_refused() {
     assert!(mission.robots[1].has_failed() && !reconnects(&actions), "{actions:?}");
 }
 
-/// A mission after exchanges with these values for the second robot.
+/// A mission after three exchanges of timestamps. The second robot's link has the given round trip, and its clock is ahead by `ahead`.
 fn after_exchanges_of(round_trip: Span, ahead: Span, tolerance: Span) -> Mission {
     let mut mission = of_two(tolerance);
     for (robot, round_trip, ahead) in [(0, ms(1), Span::ZERO), (1, round_trip, ahead)] {

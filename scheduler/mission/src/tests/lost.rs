@@ -1,4 +1,4 @@
-//! Robots whose link breaks, or that do not answer, while they play.
+//! Tests of robots whose link breaks, or that do not answer, while they play.
 
 use urrcp::{ControlType, Millis, Script, Setpoint, Step};
 
@@ -119,7 +119,8 @@ fn a_process_that_answers_again_after_another_one_has_confirmed_its_stop_is_stop
     assert_eq!(played.stops(), 2);
 }
 
-/// Time from the start of this script of 10 s until a process that still runs it comes to rest; `None` for never.
+/// The time from the start of a script of 10 s until a robot's process that still runs it comes to rest; `None` if it never does. `lease`
+/// is the script's lease, and `last` its last setpoint.
 fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
     let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
     let script = &mut choreography.acts[0].plan.robots[0].scripts[0];

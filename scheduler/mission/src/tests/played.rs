@@ -14,7 +14,7 @@ use crate::bench::{ms, refusal, report, response};
 /// Time from a message to its answer.
 const ROUND_TRIP: Span = Span::from_micros(400);
 
-/// A script that a robot has: the robot, the device, the start and the end.
+/// A script that a robot has: the index of the robot, the device, the start and the end.
 type Held = (usize, DeviceId, Timestamp<Server>, Timestamp<Server>);
 
 pub(super) struct Played {
@@ -29,7 +29,7 @@ pub(super) struct Played {
     pub(super) mute: Vec<usize>,
     /// The positions that the robots report for their devices.
     pub(super) positions: HashMap<DeviceId, f64>,
-    /// The time until which devices slow down, and their distance from their positions per remaining millisecond.
+    /// The time until which devices slow down, and their distance from their final positions per remaining millisecond.
     pub(super) slows: Option<(Timestamp<Server>, f64)>,
     /// The maximum error of device positions. The error changes continuously, and its sign changes every second.
     pub(super) jitters: f64,
@@ -85,8 +85,8 @@ impl Played {
         }
     }
 
-    /// The process has died, and another one resumes the mission at `now` and is about to connect. The robots have continued, and their
-    /// reports in between are lost.
+    /// The mission as another process resumes it at `now`, after its process has died. That process is about to connect. The robots have
+    /// continued meanwhile, and their reports are lost.
     pub(super) fn resumed_at(&self, now: Timestamp<Server>, kept: &Kept, ended: Vec<ActReport>) -> Self {
         let participant = |robot: &RobotState| Participant::new(robot.id.clone(), robot.block.clone());
         let participants = self.mission.robots.iter().map(participant).collect();
@@ -265,13 +265,13 @@ impl Played {
         self.arrivals.push((at, Event::Received { robot, message }));
     }
 
-    /// Ends a pending lease: the robot does not begin the script.
+    /// Ends the pending lease of a script, so that the robot does not begin it.
     pub(super) fn drops(&mut self, id: &RequestId) {
         self.loses(id);
         self.ended.insert(id.clone(), (ErrorCode::LinkLost, 0));
     }
 
-    /// The process of the robot is replaced by one that does not know the script.
+    /// Replaces the robot's process by a process that does not know the script.
     pub(super) fn loses(&mut self, id: &RequestId) {
         self.scripts.remove(id);
         let of_it = |message: &Message| matches!(message, Message::ControlResponse(said) if said.request_id.as_ref() == Some(id));
@@ -279,7 +279,7 @@ impl Played {
             .retain(|(_, event)| !matches!(event, Event::Received { message, .. } if of_it(message)));
     }
 
-    /// Delays the link of a robot.
+    /// Delays the connection to a robot.
     pub(super) fn delay_link(&mut self, robot: usize, by: Span) {
         for (at, event) in &mut self.arrivals {
             if matches!(event, Event::LinkUp { robot: of } if *of == robot) {
@@ -288,7 +288,7 @@ impl Played {
         }
     }
 
-    /// Delays the answers under way that report on scripts, but no others.
+    /// Delays those answers under way that report on scripts.
     pub(super) fn delay_reports(&mut self, by: Span) {
         for (at, event) in &mut self.arrivals {
             let Event::Received { message: Message::InquiryResponse(response), .. } = event else { continue };

@@ -1,11 +1,11 @@
-//! Readings of sensors: the questions to which answers without ids belong, and questions on a link that breaks.
+//! Tests of sensor readings: the requests to which answers without ids belong, and requests on a link that breaks.
 
 use std::collections::HashMap;
 
 use super::played::Played;
 use super::*;
 
-/// Two acts with the device `a`, which has a sensor and moves linearly. The second act waits for the operator.
+/// A mission with two acts that move the device `a`, which has a sensor and moves linearly. The second act waits for the operator.
 fn has_a_sensor(tells: Tells) -> Played {
     let mut show = choreography(&[&[("a", 0, 400)]]);
     let mut second = show.acts[0].clone();

@@ -206,7 +206,7 @@ fn a_start_without_a_name_may_be_that_of_a_script_that_only_the_process_before_h
     }
 }
 
-/// One act of two robots that takes a second.
+/// A mission with one act of two robots that takes one second.
 fn of_two_robots() -> Played {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 1_000)]; 2];
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
@@ -359,8 +359,8 @@ fn an_act_that_plays_keeps_the_doubt_that_was_stated_at_its_decision() {
     assert_eq!(Some(resumed.mission.reports[0].doubt), stated);
 }
 
-/// An act of three robots with measured clocks that another process resumes. Their clocks are ahead of its own by `ahead` in
-/// milliseconds.
+/// The failures after another process has resumed an act of three robots with measured clocks. The robots' clocks are ahead of that
+/// process's clock by `ahead` in milliseconds.
 fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
     let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
     let scripts: [&[Planned]; 3] = [&chain; 3];

@@ -55,7 +55,8 @@ fn a_stop_that_is_not_confirmed_is_sent_again_and_given_up_when_patience_ends() 
     assert!(mission.outcome().is_some());
 }
 
-/// An act of two robots, `before_brink` ahead of the brink. The second robot is silent during the last rounds.
+/// A mission with one act of two robots, `before_brink` ahead of the brink (the last instant at which the start can be cancelled). The
+/// second robot is silent during the last rounds.
 fn awaits_word(before_brink: Span) -> Played {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);

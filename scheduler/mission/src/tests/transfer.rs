@@ -14,7 +14,7 @@ use crate::transfer::{Destination, PlanTransfer, TransferReport};
 #[derive(Debug)]
 struct Planner {
     answer: Result<bool, &'static str>,
-    /// A robot that has nothing to move.
+    /// The id of a robot that the planner leaves out because it has nothing to move; `None` if all robots move.
     skips: Mutex<Option<&'static str>>,
     from: Mutex<Vec<Positions>>,
 }
@@ -37,7 +37,7 @@ impl PlanTransfer for Planner {
     }
 }
 
-/// Two robots play an act of 10 s, and can move home.
+/// A mission in which two robots play an act of 10 s and can move home.
 fn plays(answer: Result<bool, &'static str>, on_failure: OnFailure) -> (Played, Arc<Planner>) {
     let planner = Arc::new(Planner { answer, skips: Mutex::default(), from: Mutex::default() });
     let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
@@ -164,7 +164,7 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     assert_eq!(played.mission.home(), Some(&TransferReport::NotPlanned { reason }));
 }
 
-/// The process of the second robot has ended.
+/// The event that the second robot's process has ended.
 fn gone() -> Event {
     Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() }
 }
@@ -259,13 +259,13 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
     );
 }
 
-/// Fails the mission while it plays. The robots come to rest as given, and another act follows.
+/// Fails the mission while it plays. The robots come to rest as `rest` specifies, and another act follows.
 fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     stops_before_another_act(played, rest);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
-/// Like `fails_towards_another_act`, but only up to the stop.
+/// Like `fails_towards_another_act`, but runs only until the stop.
 fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
@@ -299,7 +299,7 @@ fn an_act_that_follows_a_failure_begins_once_the_robots_are_at_their_first_posit
     }
 }
 
-/// A mission that plans no approach after a failure. Its devices move linearly, and a stop leaves them at this position.
+/// A mission that plans no approach after a failure. Its devices move linearly, and a stop leaves them at the position `rests_at`.
 fn stays_at(rests_at: f64) -> Played {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mission.options.transfer = None;
@@ -323,7 +323,7 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
     }
 }
 
-/// From now on, the robots take no inquiries, and their devices have sensors.
+/// Changes the robots so that they take no inquiries and their devices have sensors.
 fn states_positions_by_sensors(played: &mut Played) {
     for block in played.mission.robots.iter_mut().flat_map(|robot| &mut robot.block) {
         block.inquiry = false;

@@ -63,7 +63,7 @@ fn options(then: &Options, now: &Options) -> Vec<String> {
     differ.map(|(name, then, now)| format!("{name}: {now}, but certified with {then}")).collect()
 }
 
-/// The name of an act, as used in a sentence.
+/// Returns the name of an act, as used in a sentence.
 fn called(act: &CertifiedAct) -> String {
     if act.act.is_empty() { "the scenario".to_owned() } else { format!("act `{}`", act.act) }
 }

@@ -1,7 +1,8 @@
-//! A certificate states that a plan was played in virtual time with a list of faults, and that the promise held each time.
+//! A certificate states that a plan was played in virtual time with a list of faults, and that all promises were kept each time: robots
+//! start an act together or not at all, they come to rest, and the report is true.
 //!
 //! `subject` lists the certified properties, `differences` compares two subjects, `trials` plays the faults. This file contains the
-//! certificate itself. Its seal detects damage and mistakes, but is not a signature.
+//! certificate itself. Its seal, a hash, detects damage and mistakes, but is not a signature.
 
 mod differences;
 mod subject;
@@ -34,9 +35,9 @@ pub struct Certificate {
     pub downbeat: String,
     /// Seed of the random delays and clock errors of every trial.
     pub seed: u64,
-    /// The plan and the fleet that were played in the trials.
+    /// The plan and the fleet with which the trials were played.
     pub subject: Subject,
-    /// One trial per fault, in the order of play. The promise held in each trial.
+    /// One trial per fault, in the order of play. No trial broke a promise.
     pub trials: Vec<Trial>,
     /// SHA-256 over the canonical JSON of all other keys: sorted keys, no white space.
     pub seal: ContentHash,
@@ -83,7 +84,7 @@ pub enum CertificateError {
 }
 
 impl Certificate {
-    /// Creates a certificate from trials in which the promise held.
+    /// Creates a certificate from trials in which no promise was broken.
     #[must_use]
     pub fn new(seed: u64, subject: Subject, trials: Vec<Trial>) -> Self {
         let mut certificate = Self {
@@ -162,7 +163,7 @@ fn value_of(what: &impl Serialize) -> Value {
     sorted(serde_json::to_value(what).unwrap_or(Value::Null))
 }
 
-/// Sorts explicitly, because the key order of the JSON library depends on its build features.
+/// Sorts the keys of all objects, because the key order of the JSON library depends on its build features.
 fn sorted(value: Value) -> Value {
     match value {
         Value::Object(map) => {

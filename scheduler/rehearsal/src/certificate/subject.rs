@@ -1,6 +1,6 @@
-//! The certified properties: everything that changes the behaviour of robots. They are kept in parts, so that a difference can be named.
-//! The code destructures structs completely, so that it does not compile with a new field until that field is classified as relevant or
-//! not.
+//! The certified properties: everything that changes the behaviour of robots. Each property is kept separately, so that a message can
+//! name the one that differs. The code destructures structs completely. If a struct gets a new field, the code compiles only after that
+//! field is classified as relevant or not.
 
 use std::collections::BTreeMap;
 
@@ -50,7 +50,7 @@ pub struct Options {
     pub speed: f64,
 }
 
-/// An act of the certified plan: the waits and transitions in full, the scripts as hashes.
+/// An act of the certified plan. It contains the waits and transitions in full, and the scripts as hashes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertifiedAct {
@@ -72,12 +72,12 @@ pub struct CertifiedRobot {
     pub description: ContentHash,
     /// SHA-256 over the description of each device, by device id.
     pub devices: BTreeMap<String, ContentHash>,
-    /// SHA-256 over the robot's body.
+    /// SHA-256 over the robot's body: its position and shape in space.
     pub body: ContentHash,
 }
 
 impl Subject {
-    /// Creates the subject from the selected part of a scenario and the robots that it needs.
+    /// Creates the subject from the selected part of a scenario, the robots that this part needs, and the options `asked`.
     #[must_use]
     pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
         // Requirements are judged and do not change the plan.

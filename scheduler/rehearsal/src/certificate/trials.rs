@@ -1,4 +1,4 @@
-//! Plays a plan with each fault, and compares the promise with the actual behaviour of the robots.
+//! Plays a plan with each fault, and compares the actual behaviour of the robots with what Downbeat promises.
 
 use std::collections::BTreeSet;
 
@@ -44,14 +44,14 @@ pub enum Injected {
         /// The name of the act in which the fault occurs.
         act: String,
     },
-    /// A robot's link is interrupted in the middle of an act, for longer than the usual lease (5 s).
+    /// A robot's link is interrupted for 5 s in the middle of an act, which is longer than the usual lease.
     LinkDown {
         /// The id of the faulty robot.
         robot: RobotId,
         /// The name of the act in which the fault occurs.
         act: String,
     },
-    /// A robot stalls in the middle of an act, as a process under load does (0.4 s).
+    /// A robot stalls for 0.4 s in the middle of an act, as a process under load does.
     Stalls {
         /// The id of the faulty robot.
         robot: RobotId,
@@ -60,13 +60,13 @@ pub enum Injected {
     },
 }
 
-/// Duration of an interrupted link. It exceeds the usual lease, so a robot that receives no messages for this time comes to rest.
+/// Duration of an interrupted link. It exceeds the usual lease, so a robot without messages for this time comes to rest.
 const INTERRUPTED: Span = Span::from_millis(5_000);
 /// Duration of a stall: a typical delay of a process under load.
 const STALLED: Span = Span::from_millis(400);
 
 impl Injected {
-    /// The id of the faulty robot; `None` without a fault.
+    /// Returns the id of the faulty robot; `None` without a fault.
     fn whose(&self) -> Option<&RobotId> {
         match self {
             Self::None => None,
@@ -79,7 +79,7 @@ impl Injected {
         }
     }
 
-    /// The fault with its robot and its act, if it occurs during an act.
+    /// Returns the robot, the act and the fault; `None` if the fault does not occur during an act.
     fn incident(&self) -> Option<(&RobotId, &str, Trouble)> {
         match self {
             Self::None | Self::Refuses { .. } | Self::Silent { .. } | Self::Disconnects { .. } => None,
@@ -91,7 +91,7 @@ impl Injected {
         }
     }
 
-    /// The fault with its robot, if the fault is permanent.
+    /// Returns the robot and the fault; `None` if the fault is not permanent.
     fn lasting(&self) -> Option<(&RobotId, Fault)> {
         match self {
             Self::Refuses { robot } => Some((robot, Fault::Refuse)),
@@ -120,7 +120,7 @@ impl Injected {
     }
 }
 
-/// A fault, and the result of the mission in which it was injected.
+/// A fault, and the result of the mission into which it was injected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trial {
@@ -128,7 +128,7 @@ pub struct Trial {
     pub injected: Injected,
     /// The outcome of the mission, as in a report.
     pub outcome: Value,
-    /// The largest true spread of starts in an act; `None` if it is unknown.
+    /// The largest spread of starts in an act, measured by the true clock; `None` if it is unknown.
     pub true_spread_ms: Option<Span>,
     /// The ids of the robots that set any value, in the order of the fleet.
     pub moved: Vec<RobotId>,
@@ -136,8 +136,8 @@ pub struct Trial {
     pub broken: Vec<String>,
 }
 
-/// Lists all faults to play. The first entry is no fault. Each moving robot once refuses, is silent, and disconnects. In each act in
-/// which a robot moves, it once dies, loses its link, and stalls.
+/// Lists all faults to play. The first entry is the trial without a fault. Each moving robot once refuses, once is silent, and once
+/// disconnects. In each act in which a robot moves, it once dies, once loses its link, and once stalls.
 #[must_use]
 pub fn faults(choreography: &Choreography) -> Vec<Injected> {
     let moves: BTreeSet<&RobotId> =
@@ -176,7 +176,8 @@ const fn always(span: Span) -> Between<Span> {
     Between { least: span, largest: span }
 }
 
-/// Creates a world in which only the given fault occurs, in the middle of its act. `None` if the fault does not occur during an act.
+/// Creates a world in which only the given fault occurs, in the middle of its act. Returns `None` if the fault does not occur during an
+/// act.
 fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -> Option<World> {
     let (robot, act, trouble) = injected.incident()?;
     let place = fleet.robots.iter().position(|listed| listed.id == *robot)?;
@@ -273,7 +274,7 @@ fn broken(
     broken
 }
 
-/// Checks the outcome. Without a fault, the mission is done and the starts are close together. With a fault, the mission reports a
+/// Checks the outcome. Without a fault, the mission succeeds and its starts are close together. With a fault, the mission reports a
 /// failure.
 fn ended(choreography: &Choreography, injected: &Injected, report: &Report, broken: &mut Vec<String>) {
     let outcome = &report.outcome;
@@ -298,8 +299,8 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
     }
 }
 
-/// Checks that each act starts on all of its robots or on none. A robot whose fault occurs during an act may miss the next act. Only the
-/// faulty robot may be left out, and only if the policy of the act permits it.
+/// Checks that each act starts on all of its robots or on none. A robot whose fault occurs during an act may miss the next one. Only the
+/// faulty robot may be left out, and only if the act's failure policy permits it.
 fn all_or_none(
     choreography: &Choreography,
     injected: &Injected,
@@ -348,8 +349,8 @@ fn all_or_none(
     }
 }
 
-/// Whether the first script of `robot` in `act` starts so late that the fault may already have stopped the act. In the act of the fault,
-/// this is after the fault; in other acts, after the first script of any robot.
+/// Whether `robot` starts its first script in `act` so late that the fault may have stopped the act before. In the act with the fault,
+/// "late" means at or after the fault. In other acts, it means after the first script of any robot.
 fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     let Some((_, faulty_act, _)) = injected.incident() else { return false };
     let first = |planned: &RobotPlan| planned.scripts.iter().map(|script| script.start.span()).min();
@@ -362,15 +363,16 @@ fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     of_robot.zip(bound).is_some_and(|(start, bound)| start >= bound)
 }
 
-/// The shortest difference between two instants.
+/// The shortest time between two different instants.
 const NEXT: Span = Span::from_nanos(1);
 
-/// The time of a fault in the middle of `act`, relative to the start of the act.
+/// Returns the time from the start of `act` to its middle, where the fault occurs.
 fn middle(act: &Act) -> Span {
     Span::from_nanos(act.plan.duration().as_nanos() / 2)
 }
 
-/// Whether some act continues without `robot`, or moves on to another act if `robot` fails. A robot that was left out stays out.
+/// Whether the failure policy of any act permits leaving out `robot`, or moves on to another act after a failure. A robot that was left
+/// out of one act is also left out of later ones.
 fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     choreography.acts.iter().map(|act| &act.on_failure).any(|rules| {
         let rule = rules.robots.iter().find(|(of, _)| of == robot);
@@ -431,7 +433,7 @@ mod tests {
          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-    /// A script that moves a device for `length` milliseconds.
+    /// Creates a script that moves a device for `length` milliseconds.
     fn script(length: i64) -> DeviceScript {
         let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
         let step = |at, value| Step {

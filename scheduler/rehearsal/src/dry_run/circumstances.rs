@@ -9,7 +9,7 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 use crate::world::{Path, between};
 use downbeat_runtime::fleet::WIRED;
 
-/// The network path to a robot, with its own random stream.
+/// The network path to a robot, with its own random generator.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     pub(super) path: Path,
@@ -22,15 +22,15 @@ impl Link {
     }
 }
 
-/// All deviations of a trial from a perfect world. Each robot's link, each incident and the operator have their own random stream.
-/// Additional draws from one stream do not change the others.
+/// All deviations of a trial from a perfect world. Each robot's link, each incident and the operator have their own random stream, so
+/// additional draws from one stream do not change the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circumstances {
     /// The link to each robot, by the robot's index in the mission. `None`: the robot itself delays its messages, as the fleet file
     /// specifies.
     pub(super) links: Vec<Option<Link>>,
     pub(super) incidents: Vec<Drawn>,
-    /// The readings of sensors: when a reading takes effect, the robot's index, the sensor, and the value.
+    /// Sensor readings, each with the time from which it applies, the robot's index, the sensor, and the value.
     pub(super) readings: Vec<(Timestamp<Server>, usize, DeviceId, f64)>,
     pub(super) operator: Option<(OperatorWorld, Rng)>,
 }
@@ -40,13 +40,13 @@ pub(crate) struct Circumstances {
 pub(super) struct Drawn {
     /// Index of the robot in the mission.
     pub(super) robot: usize,
-    /// The act whose start `at` is relative to. `None`: `at` is relative to the start of the mission.
+    /// The act at whose start the time `at` begins to count. `None`: `at` counts from the start of the mission.
     pub(super) act: Option<String>,
     pub(super) at: Span,
     pub(super) mishap: Mishap,
 }
 
-/// A fault of a robot with its drawn durations.
+/// A fault of a robot, with its randomly drawn durations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mishap {
     Dies { back_after: Option<Span> },
@@ -90,8 +90,8 @@ pub(crate) const fn mixed(value: u64) -> u64 {
 }
 
 impl Circumstances {
-    /// Draws the circumstances of a trial from `world`, for the robots of a mission that starts at `begin`. The robots in `world` are
-    /// those of the fleet.
+    /// Draws the circumstances of a trial from `world`, for the robots of a mission that starts at `begin`. `world` refers to robots by
+    /// their index in `fleet`.
     pub(crate) fn draw(
         world: &World,
         fleet: &[FleetRobot],
@@ -142,7 +142,7 @@ fn number(rng: &mut Rng, bounds: Between<f64>) -> f64 {
     bounds.least + rng.f64() * (bounds.largest - bounds.least)
 }
 
-/// The link of a robot that the world does not mention: the delays of the fleet file.
+/// Returns the link of a robot that the world file does not mention, with the delays from the fleet file.
 fn as_in_fleet(robot: &FleetRobot) -> LinkWorld {
     let (least, largest) = robot.simulation.delay.unwrap_or(WIRED);
     LinkWorld::with_delay(Delay::Between(Between { least, largest }))

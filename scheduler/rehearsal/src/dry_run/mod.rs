@@ -1,8 +1,9 @@
-//! Plays a mission in virtual time, with the same main loop, mission machine and robot machines as in a real mission. Time jumps from
-//! event to event. The network has the delays of the fleet file and loses nothing; only trials draw networks that lose messages.
+//! Plays a mission in virtual time, with the same main loop and the same state machines of mission and robots as in a real mission. Time
+//! jumps from event to event. The network has the delays of the fleet file and loses nothing; only trials draw networks that lose
+//! messages.
 //!
-//! A virtual operator gives the go whenever an act waits and no other act plays. Every dry run ends: it plays a loop of acts a fixed
-//! number of times, and ends at an act whose condition never occurs ([`Cut`]).
+//! A virtual operator gives the go (the signal to start) whenever an act waits and no other act plays. Every dry run ends: it plays a
+//! loop of acts a fixed number of times, and ends at an act whose condition never occurs ([`Cut`]).
 
 mod circumstances;
 mod operator;
@@ -26,19 +27,20 @@ use downbeat_mission::{MissingParticipant, Mission, MissionOptions, Participant,
 
 /// Start of virtual time if no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// Virtual time starts this long before the first time that an act waits for, and additionally this long for every act.
+/// Margin between the start of virtual time and the first time that an act waits for. Added to it are the duration of each act and, for
+/// each act, another margin of this size.
 const BEFORE_TIME: Span = Span::from_millis(60_000);
 /// Number of times that a loop through all acts is played, unless [`MissionOptions::acts_max`] overrides it.
 pub const ROUNDS: u32 = 3;
 
-/// The result of a mission that was played in virtual time.
+/// The result of a mission played in virtual time.
 #[derive(Debug)]
 pub struct Played {
     /// The report, as after a real mission.
     pub report: Report,
     /// The values that each robot set, in the order of the mission's robots; empty unless logs are kept.
     pub logs: Vec<Vec<LogEntry>>,
-    /// The scripts that really started, for each act that has ended, in order.
+    /// The scripts that really started in each act that has ended, in the order of the acts.
     pub starts: Vec<ActStarts>,
     /// Why the virtual operator ended the mission prematurely; `None` if it did not.
     pub cut: Option<Cut>,
@@ -54,7 +56,7 @@ pub struct Cut {
 }
 
 impl Played {
-    /// The values that `robot` set; `None` if the mission has no such robot.
+    /// Returns the values that `robot` set; `None` if the mission has no such robot.
     #[must_use]
     pub fn log_of(&self, robot: &RobotId) -> Option<&[LogEntry]> {
         let index = self.report.robots.iter().position(|row| row.robot == *robot)?;
@@ -104,7 +106,7 @@ pub struct Rehearsal {
 
 impl Rehearsal {
     /// Creates a rehearsal with one simulated robot per participant, in the same order. At the start, devices are where the first act
-    /// expects them. Each sensor that an act waits for gives a reading that satisfies the act.
+    /// expects them. Each sensor that an act waits for gives a reading that satisfies the act's condition.
     ///
     /// # Errors
     /// An error if a robot of the choreography is not among the participants.
@@ -151,7 +153,8 @@ impl Rehearsal {
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
     }
 
-    /// Returns this rehearsal with the circumstances that `draw` returns for the start time of the mission.
+    /// Returns this rehearsal with the circumstances (network, faults, sensor readings) that `draw` returns for the start time of the
+    /// mission.
     pub(crate) fn meets(self, draw: impl FnOnce(Timestamp<Server>) -> Circumstances) -> Self {
         let circumstances = draw(self.begin);
         Self { circumstances, ..self }
@@ -187,7 +190,8 @@ impl Rehearsal {
     }
 }
 
-/// The start of virtual time: early enough to play all acts before the first act that waits for a time, but not hours earlier.
+/// Returns the start of virtual time. It is early enough to play all acts before the first time that an act waits for, but not hours
+/// earlier.
 fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
     let times = choreography.acts.iter().filter_map(|act| match act.wait {
         Wait::Instant(at) => Some(at),
@@ -199,7 +203,7 @@ fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<
     times.min().map_or(BEGIN, |first| first - before)
 }
 
-/// A reading within `range` and away from the limits of the range.
+/// Returns a sensor reading within `range` and away from its limits.
 fn reading_within(range: SensorRange) -> f64 {
     match range {
         SensorRange::Above(bound) => bound + bound.abs().max(1.0) / 100.0,
@@ -208,14 +212,14 @@ fn reading_within(range: SensorRange) -> f64 {
     }
 }
 
-/// Plays a mission that starts at [`BEGIN`] to its end. `robots` are the simulated robots, in the order of the mission's robots. The
-/// server's clock is the true clock.
+/// Plays a mission that starts at [`BEGIN`] to its end. `robots` are in the order of the mission's robots. The server's clock shows the
+/// true time.
 #[must_use]
 pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
     Rehearsal::of(mission, robots, BEGIN).with_logs(Logs::Kept).play()
 }
 
-/// The number of the act that a request belongs to. Request ids end with the numbers of act, robot and script.
+/// Returns the number of the act that a request belongs to. Request ids end with the numbers of act, robot and script.
 #[must_use]
 pub fn act_of(request_id: &str) -> Option<u32> {
     request_id.rsplit('/').nth(2)?.parse().ok()

@@ -1,4 +1,5 @@
-//! The virtual operator of a dry run. It gives the go when an act waits for one, and stops a mission that would wait forever.
+//! The virtual operator of a dry run. It gives the go (the signal to start) when an act waits for it, and stops a mission that would wait
+//! forever.
 
 use std::collections::HashMap;
 
@@ -10,14 +11,15 @@ use super::Cut;
 use crate::world::between;
 use downbeat_mission::{Event, Progress, Rest};
 
-/// Time from when a waiting act is the only active one until the operator gives the go. The operator repeats the go at the same interval
-/// while the act waits.
+/// Time that the operator takes to give the go (the signal to start) when an act waits and no other act is active. While the act waits,
+/// the operator repeats the go at this interval.
 const THINKS: Span = Span::from_millis(1_000);
-/// Time beyond the timeout of a waiting act after which the operator stops the mission, because readings no longer change.
+/// Time for which the operator continues to wait after an act's timeout, once sensor readings no longer change. Then the operator stops
+/// the mission.
 const WAITS_MAX: Span = Span::from_millis(60_000);
 
-/// Thinking time of an operator that does not react. The timeout of the waiting act expires first; without a timeout, the mission is
-/// stopped.
+/// Thinking time of an operator that never gives the go (the signal to start). The timeout of the waiting act expires first; without a
+/// timeout, the mission is stopped.
 const NEVER: Span = Span::from_millis(24 * 3_600_000);
 
 #[derive(Debug)]
@@ -26,17 +28,17 @@ pub(super) struct VirtualOperator {
     attended: HashMap<String, Span>,
     /// The name of the act that waits, and the event that it waits for.
     waiting: Option<(String, String)>,
-    /// Number of acts that have been sent and have not ended.
+    /// Number of acts that have been sent but have not ended.
     under_way: u32,
-    /// Time since which no other act has been active besides the waiting act.
+    /// Time at which the waiting act became the only active act.
     alone_since: Timestamp<Server>,
     /// Time of the operator's next action; `None` if none is scheduled.
     speaks: Option<Timestamp<Server>>,
-    /// The operator's behaviour and random stream, if the world specifies them.
+    /// The operator's thinking time before the first go (signal to start) for the waiting act.
     manner: Option<(OperatorWorld, Rng)>,
     /// The operator's thinking time before the first go for the waiting act.
     thought: Span,
-    /// The time of the last change of a sensor reading.
+    /// The time after which sensor readings no longer change.
     readings_change_until: Timestamp<Server>,
     /// Why the operator stopped the mission; `None` if it did not.
     pub(super) cut: Option<Cut>,
@@ -63,7 +65,7 @@ impl VirtualOperator {
         }
     }
 
-    /// Sets the operator's behaviour as the world specifies it. Sensor readings do not change after `still`.
+    /// Sets the operator's behaviour as the world file specifies it. Sensor readings do not change after the time `still`.
     pub(super) fn behaves(&mut self, manner: Option<(OperatorWorld, Rng)>, still: Timestamp<Server>) {
         (self.manner, self.readings_change_until) = (manner, still);
     }
@@ -95,7 +97,7 @@ impl VirtualOperator {
         }
     }
 
-    /// Schedules the go if an act waits and no other act is active.
+    /// Schedules the go (the signal to start) if an act waits and no other act is active.
     fn attend(&mut self, now: Timestamp<Server>) {
         if self.waiting.is_some() && self.under_way == 0 {
             self.alone_since = now;
@@ -110,7 +112,7 @@ impl VirtualOperator {
         if never { NEVER } else { after }
     }
 
-    /// Returns the operator's input at `now`, if any.
+    /// Returns the operator's input at `now`: the go (the signal to start), or a request to stop. `None` without input.
     pub(super) fn word(&mut self, now: Timestamp<Server>) -> Option<Event> {
         self.speaks.take_if(|at| now >= *at)?;
         let (act, awaits) = self.waiting.as_ref()?;

@@ -1,4 +1,4 @@
-//! Measures how far apart the scripts of an act started, by the true clock, which only a dry run knows.
+//! Measures how far apart the scripts of an act started. It uses the true clock, which only a dry run knows.
 
 use std::collections::HashMap;
 
@@ -34,7 +34,7 @@ struct Seen {
     began: i64,
     /// When the script was due, by the robot's clock.
     due: Timestamp<Robot>,
-    /// True time from the start of the script to its latest step, minus the planned time.
+    /// Time from the start of the script to its latest step by the true clock, minus the planned time.
     gained: Span,
 }
 
@@ -45,7 +45,7 @@ struct Errors {
     ends: Vec<Span>,
 }
 
-/// The scripts of an act that really started, according to the first movements of devices.
+/// The scripts of an act that really started, as the first movements of devices show.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActStarts {
     /// Name of the act.
@@ -69,7 +69,7 @@ impl TrueSpread {
         self.largest
     }
 
-    /// The largest spread of the last steps of scripts in an act; `None` if no act was evaluated.
+    /// Returns the largest spread of an act's last script steps; `None` if no act was evaluated.
     pub(super) const fn largest_of_ends(&self) -> Option<Span> {
         self.largest_of_ends
     }
@@ -116,7 +116,7 @@ impl TrueSpread {
         ActStarts { act: act.act.clone(), planned, begun, spread }
     }
 
-    /// The errors of all scripts of an act; `None` if a robot that was not left out did not start one of its scripts.
+    /// Returns the errors of all scripts of an act; `None` if any robot, except those left out, did not start one of its scripts.
     fn errors(&self, act: &ActReport) -> Option<Errors> {
         let mut errors = Errors::default();
         for robot in act.robots.iter().filter(|robot| !robot.left_out) {

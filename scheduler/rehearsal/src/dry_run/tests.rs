@@ -232,7 +232,7 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
     assert!(played.report.robots[1].clock.unwrap().offset > Span::from_millis(2_300));
 }
 
-/// A rehearsal of consecutive acts, in each of which two arms move. `change` may change the acts.
+/// Creates a rehearsal of consecutive acts, in each of which two arms move. `change` may change the acts.
 fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
     acts_with(MissionOptions::default(), change)
 }
@@ -428,7 +428,7 @@ const WITH_SENSORS: &str = r#"{"id": "arm-0", "api_version": "1", "reports": tru
      "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "unit": "m", "available_control_types": {"sensor": {"min_value": 0, "max_value": 4}}}]}"#;
 
-/// An audience that keeps the preflight reports.
+/// An audience that keeps the reports of the preflight (the checks before the start).
 #[derive(Default)]
 struct Shown(Vec<downbeat_mission::Preflight>);
 
@@ -442,7 +442,8 @@ impl Audience for Shown {
     fn second(&mut self, _: Timestamp<Server>) {}
 }
 
-/// The outcome and the preflight report of one arm with sensors, whose shoulder sensor reads `shoulder`.
+/// Returns the outcome and the preflight report (of checks before the start) for an arm with sensors, whose shoulder sensor reads
+/// `shoulder`.
 fn preflight_at(shoulder: f64) -> (Outcome, downbeat_mission::Preflight) {
     let block: InitializationBlock = serde_json::from_str(WITH_SENSORS).unwrap();
     let machines = vec![SimulatedRobot::new(block.clone(), Settings::default())];

@@ -1,5 +1,5 @@
-//! Observes a mission to its end and beyond. It counts the values that robots set, without keeping them. Lost robots continue until their
-//! leases have ended.
+//! Observes a mission to its end and beyond, because lost robots continue until their leases have ended. Counts the values that robots
+//! set, without keeping them.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ pub struct Watched {
     pub begun: BTreeMap<u32, usize>,
     /// The kind of the last motion of each device.
     pub last: BTreeMap<DeviceId, MotionKind>,
-    /// Whether the robot was still active after the longest lease and the longest act.
+    /// Whether the robot was still active when the longest lease and the longest act had passed after the mission.
     pub still_moves: bool,
 }
 
@@ -32,7 +32,7 @@ impl Watched {
     }
 }
 
-/// Time for messages to arrive and for signals to slow down, in addition to the longest act and the longest lease.
+/// Additional time, besides the longest act and the longest lease, for late messages and for devices to slow down.
 const AFTERWARDS: Span = Span::from_millis(60_000);
 
 struct Watcher(Vec<Watched>);

@@ -20,9 +20,9 @@ const SECOND: i64 = 1_000_000_000;
 /// Time within which a connection must be established; otherwise the attempt fails, as over TCP (`link/tcp.rs`).
 const CONNECT_TIMEOUT: Span = Span::from_millis(3_000);
 
-/// The network of one robot, and the state of its process.
+/// The network of one robot and the state of its process.
 struct Place {
-    /// The machine of the process that died, from which the restarted process continues.
+    /// The state of a process that died; a restarted process continues from it.
     died: Option<SimulatedRobot>,
     /// The link to the robot. `None`: the robot delays its messages itself, and no message is lost.
     link: Option<Link>,
@@ -32,7 +32,7 @@ struct Place {
     connections: BTreeSet<LinkNumber>,
 }
 
-/// A scheduled event outside of the robots.
+/// A scheduled event other than the wake-up of a robot.
 pub(super) enum Item {
     /// A connection attempt starts.
     Connect { robot: usize, link: LinkNumber },
@@ -55,7 +55,7 @@ pub(super) enum Item {
 pub(super) struct VirtualWorld<'a, A> {
     kernel: Kernel<Item>,
     places: Vec<Place>,
-    /// Incidents whose time becomes known when their act is sent.
+    /// Incidents whose time is unknown until their act is sent.
     awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
     operator: VirtualOperator,
@@ -117,7 +117,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         self.spread.largest_of_ends()
     }
 
-    /// Removes and returns the really started scripts of each act that has ended.
+    /// Removes and returns, for each act that has ended, the scripts that really started.
     pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
         self.spread.take_starts()
     }
@@ -127,7 +127,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         (self.logs, self.operator.cut)
     }
 
-    /// Advances time by `length` without a scheduler. Returns for each robot whether it is still active afterwards.
+    /// Advances time by `length` without a scheduler. For each robot, returns whether it is still active afterwards.
     pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
         let until = self.kernel.now + length;
         while let Some(at) = self.kernel.next_instant().filter(|at| *at <= until) {
@@ -236,7 +236,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Arrival time of a message that is sent now. `None`: the message does not arrive and the connection breaks.
+    /// Returns the arrival time of a message that is sent now; `None` if the message does not arrive and the connection breaks.
     fn travel(
         &mut self,
         robot: usize,

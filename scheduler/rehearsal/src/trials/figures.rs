@@ -15,7 +15,7 @@ pub struct Share {
     /// Lower end of the 95 % confidence interval of the probability, by Wilson's score method (Wilson: Probable inference, the law
     /// of succession, and statistical inference, 1927).
     pub least: f64,
-    /// Upper end of the same confidence interval.
+    /// Upper end of the 95 % confidence interval.
     pub largest: f64,
 }
 
@@ -46,7 +46,7 @@ impl Share {
     }
 }
 
-/// Quantiles by the nearest-rank method: each is the smallest value such that the given share of all values is not greater.
+/// Quantiles by the nearest-rank method. The p % quantile is the smallest value that is at least as large as p % of all values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Quantiles {
     /// Number of values.

@@ -1,6 +1,6 @@
-//! Plays many dry runs of one choreography, each with different circumstances drawn from one world. They show how likely the show is to
-//! start and to finish, the spread of starts, and the weakest robot and link. The same inputs and seed give the same results for any
-//! number of threads.
+//! Plays many dry runs of one choreography, each with different circumstances drawn from one world. The results show how likely a
+//! choreography is to start and to finish, the spread of starts, and the weakest robot and link. The same inputs and seed give the same
+//! results for any number of threads.
 
 mod figures;
 mod results;
@@ -22,7 +22,7 @@ pub use figures::{Quantiles, Share};
 pub use results::{ActResult, LeadResult, Reason, Results, RobotResult};
 pub use trial::{Started, Trial, Why};
 
-/// The setup of the trials.
+/// The inputs of the trials: a choreography, a fleet, a world and a seed.
 #[derive(Clone, Debug)]
 pub struct Trials<'a> {
     choreography: &'a Choreography,
@@ -45,7 +45,7 @@ pub enum NoTrials {
 }
 
 impl<'a> Trials<'a> {
-    /// Sets up trials of a choreography with the robots of a fleet, in a world that was read for that fleet.
+    /// Sets up trials of a choreography with the robots of a fleet. `world` must have been read for that fleet.
     #[must_use]
     pub fn new(
         choreography: &'a Choreography,
@@ -57,7 +57,7 @@ impl<'a> Trials<'a> {
         Self { choreography, fleet, robots: fleet::robots_in(fleet, choreography), world, options, seed }
     }
 
-    /// Plays the trial with the given number, from 0, observed by `audience`.
+    /// Plays the trial with the given number, counted from 0, and reports to `audience`.
     ///
     /// # Errors
     /// [`NoTrials`]

@@ -31,11 +31,12 @@ pub struct Results {
     pub mixed: Share,
     /// Each outcome and its share of the missions, the most frequent first.
     pub outcomes: Vec<(String, Share)>,
-    /// Quantiles of the largest true spread of starts in an act, over the missions in which an act began on all robots.
+    /// Quantiles over all missions in which an act began on all robots. Each value is the mission's largest spread of starts in an act,
+    /// by the true clock.
     pub spread: Option<Quantiles>,
     /// The results of each act that was sent in some trial, in the order of the scenario.
     pub acts: Vec<ActResult>,
-    /// The actual lead and the sufficient lead; `None` if no act was decided.
+    /// The leads (times from sending an act to its start) that acts had and needed. `None` if no act was accepted by all of its robots.
     pub lead: Option<LeadResult>,
     /// The reasons why missions did not end as planned, the most frequent first.
     pub reasons: Vec<Reason>,
@@ -43,7 +44,7 @@ pub struct Results {
     pub robots: Vec<RobotResult>,
     /// The robot that was the first to fail in the most missions; `None` if no robot failed.
     pub weakest_robot: Option<RobotId>,
-    /// The robot with the longest time to accept its scripts (99 % quantile).
+    /// The robot that takes longest to accept its scripts (99 % quantile); `None` if no robot accepted an act.
     pub weakest_link: Option<RobotId>,
     /// The verdicts on the scenario's requirements.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -59,7 +60,7 @@ pub struct ActResult {
     pub act: String,
     /// How often the act began on all its robots, as a share of the times that it was sent.
     pub starts: Share,
-    /// Quantiles of the true spread of starts in the act.
+    /// Quantiles of the spread of starts in the act, by the true clock; `None` if the act never began on all its robots.
     pub spread: Option<Quantiles>,
     /// The scenario's `start_tolerance`.
     #[serde(rename = "tolerance_ms")]
@@ -68,15 +69,16 @@ pub struct ActResult {
     pub beyond_tolerance: Share,
 }
 
-/// Lead times of all acts that were decided. If a robot refuses or does not answer, the act is not decided, and no lead would have been
-/// sufficient.
+/// Leads (times from sending an act to its start) of all acts that their robots accepted. If a robot refuses or does not answer, no lead
+/// would have sufficed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LeadResult {
     /// The actual lead: the time from the sending timestamp of an act to its start.
     pub had: Quantiles,
-    /// The sufficient lead, with which the last acceptance would just have been in time: acceptance time plus lease and margin.
+    /// The sufficient lead, with which the last acceptance would just have been in time: the time until that acceptance, plus lease and
+    /// margin.
     pub enough: Quantiles,
-    /// Number of acts that were sent and not decided.
+    /// Number of acts that were sent, but not accepted by all of their robots.
     pub undecided: usize,
 }
 
@@ -91,7 +93,7 @@ pub struct Reason {
     pub share: Share,
     /// The number of the first trial with this reason.
     pub example: u32,
-    /// The message for people from the trial `example`.
+    /// The message for people from the trial with the number `example`.
     pub text: String,
 }
 
@@ -102,15 +104,15 @@ pub struct RobotResult {
     pub robot: RobotId,
     /// Share of the missions in which the robot was the first to fail.
     pub fails_first: Share,
-    /// Quantiles of the time from sending an act until the robot had accepted all its scripts.
+    /// Quantiles of the time from sending an act until the robot had accepted all its scripts; `None` if it never did.
     pub accepts_within: Option<Quantiles>,
-    /// Share of the decided acts in which the robot was the last to accept.
+    /// Share of the acts accepted by all their robots in which this robot was the last to accept.
     pub accepts_last: Share,
     /// Share of the missions in which the robot's link had to be re-established.
     pub reconnects: Share,
 }
 
-/// Outcomes of missions that began and reached their planned end, possibly with losses.
+/// Outcomes of missions that began and reached their planned end, even if robots were left out or late.
 const CAME_TO_AN_END: [&str; 6] =
     ["done", "done_without", "done_skipping", "out_of_tolerance", "steps_late", "unknown"];
 

@@ -15,7 +15,7 @@ pub struct Trial {
     pub trial: u32,
     /// How the mission ended, as in a report.
     pub outcome: String,
-    /// Which robots really began their parts of the acts.
+    /// Whether all, some or none of the robots really began the acts.
     pub started: Started,
     /// Largest spread of starts in an act, by the true clock; `None` if no act began on all robots.
     #[serde(rename = "spread_ms")]
@@ -24,7 +24,7 @@ pub struct Trial {
     pub why: Option<Why>,
 }
 
-/// Which robots really began their parts, over all acts that were sent.
+/// Whether all, some or none of the robots really began the acts that were sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Started {
@@ -52,24 +52,25 @@ pub struct Why {
 /// Data of a trial that its report does not contain.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Evidence {
-    /// The scripts that really began in each act, in order.
+    /// The scripts that really began in each act, in the order of the acts.
     pub(super) acts: Vec<ActStarts>,
     /// For each robot: the times from sending an act until the robot has accepted all its scripts, one per act.
     pub(super) accepted: Vec<Vec<Span>>,
-    /// For each act that was decided: the index of the robot that accepted last.
+    /// For each act that all its robots accepted: the index of the robot that accepted last.
     pub(super) last: Vec<usize>,
-    /// For each act that was decided: the actual lead, and the lead with which the decision would just have been in time.
+    /// For each act that all its robots accepted: its actual lead (time from sending the act to its start), and the smallest sufficient
+    /// lead.
     pub(super) leads: Vec<(Span, Span)>,
-    /// Number of acts that were sent and not decided.
+    /// Number of acts that were sent, but not accepted by all of their robots.
     pub(super) undecided: usize,
     /// Number of times that each robot's link was re-established.
     pub(super) reconnects: Vec<u32>,
 }
 
-/// Observes a trial and collects its evidence.
+/// Observes a trial and collects the data that the report does not contain.
 pub(super) struct Witness<'a> {
     robots: &'a [&'a FleetRobot],
-    /// The act in preparation: when it was sent, its total lead, and the sum of lease and margin within that lead.
+    /// The act in preparation: when it was sent, its lead (time until its start), and the lease and margin within that lead.
     sent: Option<(Timestamp<Server>, Span, Span)>,
     latest: Option<(usize, Span)>,
     failure: Option<Failure>,
@@ -153,7 +154,7 @@ fn started(acts: &[ActStarts]) -> Started {
     }
 }
 
-/// The name of an outcome, as written in JSON.
+/// Returns the name of an outcome, as written in JSON.
 fn kind_of(outcome: &Outcome) -> String {
     match serde_json::to_value(outcome) {
         Ok(serde_json::Value::String(name)) => name,

@@ -20,7 +20,7 @@ impl<T> Agenda<T> {
         self.count += 1;
     }
 
-    /// The instant at which the next item is due, and the item; `None` if there is no item.
+    /// Returns the next item and the instant at which it is due; `None` if there is no item.
     #[must_use]
     pub fn peek(&self) -> Option<(Timestamp<Server>, &T)> {
         self.items.first_key_value().map(|((at, _), item)| (*at, item))

@@ -10,24 +10,24 @@ use super::{Agenda, Processes};
 pub struct Kernel<T> {
     /// The current true time.
     pub now: Timestamp<Server>,
-    /// The scheduled events outside of robots.
+    /// The scheduled events other than wake-ups of robots.
     pub agenda: Agenda<T>,
     /// The robots' processes.
     pub robots: Processes,
 }
 
 impl<T> Kernel<T> {
-    /// Creates the parts of a world whose time starts at `begin`.
+    /// Creates the clock, the robots and an empty agenda of a world whose time starts at `begin`.
     pub fn new(machines: impl IntoIterator<Item = Option<SimulatedRobot>>, begin: Timestamp<Server>) -> Self {
         Self { now: begin, agenda: Agenda::default(), robots: Processes::new(machines, begin) }
     }
 
-    /// Adds an item that is due at `at`, or now if `at` has passed.
+    /// Adds an item that is due at `at`. If `at` has passed, the item is due now.
     pub fn put(&mut self, at: Timestamp<Server>, item: T) {
         self.agenda.put(at.max(self.now), item);
     }
 
-    /// When the next event is due.
+    /// Returns when the next event is due; `None` without an event.
     pub fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         let item = self.agenda.peek().map(|(at, _)| at);
         item.into_iter().chain(self.robots.next_instant()).min()
@@ -36,10 +36,10 @@ impl<T> Kernel<T> {
 
 /// A world in virtual time.
 pub trait Virtual {
-    /// The kind of event outside of robots.
+    /// The type of scheduled events other than wake-ups of robots.
     type Item;
 
-    /// The parts of this world that all worlds share.
+    /// Returns the parts that all virtual worlds share: the clock, the scheduled items and the robots.
     fn kernel(&mut self) -> &mut Kernel<Self::Item>;
 
     /// Advances a robot to the current time, and sends its messages.
@@ -48,19 +48,19 @@ pub trait Virtual {
     /// Executes a scheduled item.
     fn happen(&mut self, item: Self::Item);
 
-    /// When the next event that is not in the kernel is due, such as an input by the operator; `None` if no such event is due.
+    /// Returns when the next event outside the kernel, such as an operator's input, is due; `None` if no such event is due.
     fn wakes(&self) -> Option<Timestamp<Server>>;
 
     /// Sets the time to `at`, unless it is already later.
     fn pass(&mut self, at: Timestamp<Server>);
 
-    /// When the next event is due.
+    /// Returns when the next event is due; `None` without an event.
     fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         self.kernel().next_instant().into_iter().chain(self.wakes()).min()
     }
 
-    /// Jumps to `at`, when the next event is due: advances all robots in order, executes one item, and advances the robots again, because
-    /// the item may affect them.
+    /// Jumps to `at`, the instant of the next event. Advances all robots that are due, executes one item, and advances robots again,
+    /// because the item may affect them.
     fn step(&mut self, at: Timestamp<Server>) {
         self.pass(at);
         self.advance_robots();

@@ -15,9 +15,11 @@ const FIRST_RESENT_AFTER: Span = Span::from_millis(1_000);
 /// Maximum additional delay of a message in the long tail, as a multiple of the largest delay.
 const TAIL_MAX: i64 = 20;
 
-/// Approximate sizes in bytes: of a message, of each script step in it, and of each request that it names.
+/// Approximate size in bytes of a message, without the steps of its script and the requests that it names.
 const MESSAGE_BYTES: usize = 220;
+/// Approximate size in bytes of a script step in a message.
 const STEP_BYTES: usize = 60;
+/// Approximate size in bytes of a request that a message names.
 const NAME_BYTES: usize = 70;
 
 /// The direction of a message.
@@ -29,15 +31,15 @@ pub enum Direction {
     FromRobot,
 }
 
-/// Properties of a network path, the same in both directions.
+/// Properties of a network path, which are equal in both directions.
 #[derive(Clone, Debug)]
 pub struct Conditions {
     /// Delays, interruptions, and parameters of TCP.
     pub link: LinkWorld,
     /// What happens to messages that the network drops or blocks.
     pub transport: Transport,
-    /// Probability that a message is additionally delayed by 1 to 20 times the largest delay. `None`: never, and without drawing a random
-    /// number.
+    /// Probability that a message is additionally delayed by 1 to 20 times the largest delay. `None`: never, and no random number is
+    /// drawn.
     pub tail: Option<f64>,
     /// Bandwidth in bytes per second; `None`: unlimited.
     pub bandwidth: Option<u32>,
@@ -46,7 +48,7 @@ pub struct Conditions {
 /// What happens to messages that the network drops or blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transport {
-    /// Messages are retransmitted after a timeout that doubles after each further loss. Messages keep their order.
+    /// Like TCP: lost messages are retransmitted after a timeout that doubles after each further loss. Messages keep their order.
     Tcp,
     /// No messages are lost. Messages sent during an interruption wait until its end. Messages keep their order.
     Held,
@@ -65,7 +67,7 @@ impl From<LinkWorld> for Conditions {
     }
 }
 
-/// When a message arrives, and why not earlier.
+/// When a message arrives, and how much of its travel time is normal queuing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Travel {
     /// When the message arrives.
@@ -78,24 +80,25 @@ pub struct Travel {
 #[derive(Clone, Debug)]
 pub struct Path {
     conditions: Conditions,
-    /// When the next interruption of each kind begins.
+    /// When the next interruption of each configured kind begins.
     next: Vec<Timestamp<Server>>,
-    /// Start and end of each interruption that is already drawn.
+    /// Start and end of each interruption whose times have already been drawn at random.
     interrupted: VecDeque<(Timestamp<Server>, Timestamp<Server>)>,
-    /// For each direction: the time until which faults block it.
+    /// For each direction: the time until which injected faults block the path.
     pub blocked_until: [Timestamp<Server>; 2],
     /// A temporary bandwidth in bytes per second, and when it ends.
     pub slow: Option<(u32, Timestamp<Server>)>,
     /// A temporary additional delay per message, and when it ends.
     pub lag: Option<(Span, Timestamp<Server>)>,
-    /// For each direction: the time until which earlier messages occupy it.
+    /// For each direction: the time until which earlier messages are being transmitted.
     busy: [Timestamp<Server>; 2],
-    /// For each direction: the last arrival on the current connection. No later message of a stream arrives earlier.
+    /// For each direction: the latest arrival so far on the current connection. Unless messages are datagrams, none arrives before an
+    /// earlier one.
     last: [Timestamp<Server>; 2],
 }
 
 impl Path {
-    /// Creates a path that starts at `begin`.
+    /// Creates a path whose time starts at `begin`.
     pub fn new(conditions: Conditions, rng: &mut Rng, begin: Timestamp<Server>) -> Self {
         let kinds = conditions.link.interruptions.iter();
         let next = kinds.map(|kind| begin + exponential(rng, kind.every)).collect();
@@ -112,7 +115,7 @@ impl Path {
         }
     }
 
-    /// Blocks a direction until `until`. Returns the end of the blockage, including earlier faults.
+    /// Blocks a direction until the time `until`. Returns the end of the blockage, which is later if an earlier fault lasts longer.
     pub fn block(&mut self, way: Direction, until: Timestamp<Server>) -> Timestamp<Server> {
         let blocked = &mut self.blocked_until[way as usize];
         *blocked = until.max(*blocked);
@@ -124,7 +127,8 @@ impl Path {
         (self.last, self.busy) = ([at; 2], [at; 2]);
     }
 
-    /// Sends a message or the end of a connection. Returns `None` if a datagram is lost or TCP closes the connection.
+    /// Sends a message, or the end of a connection if `message` is `None`. Returns `None` if a datagram is lost or TCP closes the
+    /// connection.
     pub fn travel(
         &mut self,
         rng: &mut Rng,
@@ -152,12 +156,13 @@ impl Path {
         Some(Travel { arrives, queued })
     }
 
-    /// Whether a message that is sent now arrives twice.
+    /// Draws whether a message that is sent now arrives twice.
     pub fn doubles(&self, rng: &mut Rng) -> bool {
         matches!(self.conditions.transport, Transport::Datagram { double, .. } if rng.f64() < double)
     }
 
-    /// When a connection that the scheduler starts now is established on the scheduler's side. `None`: not before `by`.
+    /// Returns when a connection that the scheduler starts now is established on the scheduler's side; `None` if this is not possible by
+    /// `by`.
     pub fn connects(
         &mut self,
         rng: &mut Rng,
@@ -172,14 +177,14 @@ impl Path {
         (back <= by).then_some(back)
     }
 
-    /// When the end of a connection departs that the robot's operating system closes at `at`: after all earlier messages.
+    /// Returns when the end of a connection, which the robot's operating system closes at `at`, departs: after all earlier messages.
     #[must_use]
     pub fn end_passes(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         at.max(self.blocked_until[Direction::FromRobot as usize])
             .max(self.last[Direction::FromRobot as usize])
     }
 
-    /// The transmission time of a message: first at the usual bandwidth, then at the current one.
+    /// Returns the transmission times of a message at the usual bandwidth and at the current bandwidth, in this order.
     fn transmission(&self, now: Timestamp<Server>, message: &Message) -> (Span, Span) {
         let usual = self.conditions.bandwidth;
         let slow = self.slow.filter(|(_, until)| now < *until).map(|(slow, _)| slow);
@@ -192,7 +197,7 @@ impl Path {
         (usual, slow.map_or(usual, takes))
     }
 
-    /// When a packet that is first sent at `at` departs and is not lost.
+    /// Returns the departure time of the first transmission that gets through, for a packet first sent at `at`. `None` if TCP gives up.
     fn passes(
         &mut self,
         rng: &mut Rng,
@@ -216,7 +221,8 @@ impl Path {
         None
     }
 
-    /// Until when the path is blocked for a packet that departs at `at`, which must not be before `now`. `None`: the packet passes.
+    /// Returns the end of the blockage for a packet that departs at `at`, which must not be before `now`. `None`: the path is open, and
+    /// the packet passes.
     fn closed_until(
         &mut self,
         rng: &mut Rng,
@@ -268,7 +274,7 @@ fn exponential(rng: &mut Rng, mean: Span) -> Span {
     Span::from_millis_f64(-(1.0 - rng.f64()).ln() * mean.as_millis_f64())
 }
 
-/// The quantile for `share`, interpolated linearly between the known quantiles.
+/// Returns the quantile for `share` (0 to 1), interpolated linearly between the five given quantiles.
 fn by_quantiles(quantiles: &[Span; 5], share: f64) -> Span {
     let above = QUANTILES.iter().position(|known| *known > share).unwrap_or(QUANTILES.len() - 1);
     let below = above.saturating_sub(1);
@@ -310,7 +316,7 @@ mod tests {
         LinkWorld::with_delay(Delay::Between(Between::fixed(DELAY)))
     }
 
-    /// A path with a random generator, for messages that differ only in their send time.
+    /// A path with a random generator, for messages that differ only in their send times.
     struct Line {
         path: Path,
         rng: Rng,
@@ -339,7 +345,7 @@ mod tests {
         }
     }
 
-    /// The travel times in milliseconds of many messages, sent at intervals that prevent queuing.
+    /// Returns the sorted travel times in milliseconds of many messages, sent at intervals that prevent queuing.
     fn travels(says: LinkWorld) -> Vec<f64> {
         let mut line = Line::new(says, 7);
         let sent = (0..20_000).map(|index| BEGIN + Span::from_millis(10_000) * index);

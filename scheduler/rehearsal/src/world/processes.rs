@@ -7,7 +7,7 @@ use urrcp::{Server, Timestamp};
 
 use super::Agenda;
 
-/// A time before every wake-up. A process that is due even at this time is due at every event, for example because it polls silent
+/// A time before every wake-up. A process that is due even at this time is due at every event. An example is a process that polls silent
 /// hardware.
 const NEVER: Timestamp<True> = Timestamp::from_nanos(i64::MIN);
 
@@ -15,7 +15,7 @@ const NEVER: Timestamp<True> = Timestamp::from_nanos(i64::MIN);
 #[derive(Debug)]
 pub struct Processes {
     processes: Vec<Process>,
-    /// The robots by the times at which they are due. An entry is outdated if it differs from `due` of the robot's process.
+    /// The robots, ordered by the times at which they are due. An entry is outdated if its time differs from the process's `due`.
     agenda: Agenda<usize>,
     /// Robots that are due at every event.
     restless: BTreeSet<usize>,
@@ -23,7 +23,7 @@ pub struct Processes {
 
 #[derive(Debug)]
 struct Process {
-    /// The robot's machine; `None` if no process runs.
+    /// The state machine of the robot; `None` if no process runs.
     machine: Option<SimulatedRobot>,
     stalls_until: Timestamp<Server>,
     due: Option<Timestamp<Server>>,
@@ -39,13 +39,13 @@ impl Processes {
         processes
     }
 
-    /// The machine of a robot's process; `None` if the process does not run.
+    /// Returns the state machine of a robot's process; `None` if the process does not run.
     #[must_use]
     pub fn get(&self, robot: usize) -> Option<&SimulatedRobot> {
         self.processes[robot].machine.as_ref()
     }
 
-    /// Calls `change` with the machine of a robot's process, if the process runs. Returns the result of `change`.
+    /// Calls `change` with the state machine of a robot's process, and returns the result; `None` if the process does not run.
     pub fn change<R>(&mut self, robot: usize, change: impl FnOnce(&mut SimulatedRobot) -> R) -> Option<R> {
         let result = change(self.processes[robot].machine.as_mut()?);
         self.note_due(robot);
@@ -58,27 +58,27 @@ impl Processes {
         self.note_due(robot);
     }
 
-    /// Ends a robot's process. Returns its machine if the process ran.
+    /// Ends a robot's process. Returns its state machine if the process ran.
     pub fn end(&mut self, robot: usize) -> Option<SimulatedRobot> {
         let machine = self.processes[robot].machine.take();
         self.note_due(robot);
         machine
     }
 
-    /// Stalls a robot's process until `until`, including a new process of the same robot. A stall never shortens an earlier one.
+    /// Stalls a robot's process until the time `until`, even if the process restarts in the meantime. Does not shorten an earlier stall.
     pub fn stall(&mut self, robot: usize, until: Timestamp<Server>) {
         let stalls_until = &mut self.processes[robot].stalls_until;
         *stalls_until = until.max(*stalls_until);
         self.note_due(robot);
     }
 
-    /// When the stall of a robot's process ends; `None` if the process does not stall at `now`.
+    /// Returns when the stall of a robot's process ends; `None` if the process does not stall at `now`.
     #[must_use]
     pub fn stalls_until(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(self.processes[robot].stalls_until).filter(|until| now < *until)
     }
 
-    /// When the next process is due; `None` if none is.
+    /// Returns when the next process is due; `None` if none is.
     pub fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         loop {
             let (at, robot) = self.agenda.peek()?;
@@ -89,7 +89,7 @@ impl Processes {
         }
     }
 
-    /// The robots that are due now, in order.
+    /// Removes and returns the robots that are due now, in order.
     pub fn take_due(&mut self, now: Timestamp<Server>) -> Vec<usize> {
         let awake = |robot: &usize| self.stalls_until(*robot, now).is_none();
         let mut robots: Vec<usize> = self.restless.iter().copied().filter(awake).collect();

@@ -62,7 +62,7 @@ const ELSEWHERE_MAX: usize = 8;
 pub struct FileDisk {
     folder: PathBuf,
     file: File,
-    /// Earlier files of the same journal that were moved away. Their locks show that the scheduler still runs.
+    /// Earlier files of the same journal that someone moved away. They stay locked, which shows that the scheduler still runs.
     elsewhere: Vec<File>,
 }
 
@@ -101,8 +101,8 @@ impl FileDisk {
         Self { folder: folder.to_path_buf(), file, elsewhere: Vec::new() }
     }
 
-    /// Whether the name `journal` in the folder still refers to the open file. Only an error that reports a missing file counts as such.
-    /// After any other error, such as an unreachable network file system, the file is treated as present.
+    /// Whether the name `journal` in the folder still refers to the open file. An error that reports a missing file counts as `false`.
+    /// Any other error, for example from an unreachable network file system, counts as `true`.
     fn is_named(&self) -> io::Result<bool> {
         let own = rustix::fs::fstat(&self.file)?;
         match rustix::fs::lstat(self.folder.join(JOURNAL)) {
@@ -115,7 +115,7 @@ impl FileDisk {
         }
     }
 
-    /// Writes the whole file under its name. A file of this name may already contain the beginning of the contents.
+    /// Writes the whole file under its name. A file that already has this name may contain only the beginning of the same contents.
     fn write_again(&mut self) -> io::Result<()> {
         let bytes = self.read()?;
         if let Some(state) = self.folder.parent() {

@@ -1,5 +1,5 @@
-//! The missions that left a folder on this machine. Only the first and the last lines of their journals are read: a stop must not wait
-//! until years of old journals are read.
+//! The missions that have a folder on this machine. Only the first and the last lines of their journals are read. Otherwise, a stop would
+//! have to wait until years of old journals are read.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -12,7 +12,7 @@ use super::read::{begin_of, bytes_of};
 use super::{Contents, Opened, Unreadable, lock, read};
 use downbeat_mission::{Record, sound};
 
-/// A mission that left a folder.
+/// A mission that has a folder on this machine.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// The mission's folder.
@@ -38,7 +38,7 @@ pub enum MissionState {
     Ended,
 }
 
-/// All missions that left a folder on this machine.
+/// All missions that have a folder on this machine.
 #[derive(Debug, Default)]
 pub struct Missions {
     /// The missions whose first journal line is valid, newest last.
@@ -125,7 +125,7 @@ impl Found {
     }
 }
 
-/// Whether the mission of this folder has checked its fleet, so that it plays an act or waits for its first one.
+/// Whether the mission of this folder has checked its fleet. It then plays an act or waits for its first one.
 #[must_use]
 pub fn has_begun(folder: &Path) -> bool {
     let journal = bytes_of(&folder.join("journal")).unwrap_or_default();
@@ -152,11 +152,11 @@ fn record(line: &[u8]) -> Option<Record> {
 
 /// Maximum number of ended missions whose folders are kept.
 const ENDED_KEPT: usize = 50;
-/// Maximum total size, in bytes, of the kept journals of ended missions, except for the latest one.
+/// Maximum total size, in bytes, of the kept journals of ended missions. The latest journal is kept even if it is larger.
 const ENDED_BYTES: u64 = 64 * 1024 * 1024;
 
-/// Removes folders of ended missions: all beyond the last 50, and older ones if their journals together exceed 64 MiB. Missions that were
-/// cut off stay until they are resumed or stopped.
+/// Removes folders of old ended missions. Keeps the latest 50, and fewer if their journals together exceed 64 MiB, but at least one.
+/// Missions that were cut off stay until they are resumed or stopped.
 pub fn forget_old(state: &Path) {
     let found = Missions::of(state).unwrap_or_default().found;
     let ended = found.into_iter().rev().filter(|found| found.life == MissionState::Ended);

@@ -1,5 +1,5 @@
-//! The lock of a journal. It shows whether the scheduler lives. A process can query the lock without taking it: if queries took the lock
-//! for a moment, one could block a stop. The lock is independent of `flock`, so programs that use `flock` on the file do not block a stop
+//! The lock of a journal. It shows whether the scheduler lives. A process can query the lock without taking it: if it took the lock even
+//! for a moment, it could block a stop. The lock is independent of `flock`, so programs that use `flock` on the file do not block a stop
 //! either.
 
 use std::fs::File;

@@ -1,5 +1,5 @@
 //! The journal of a mission: an append-only file of lines, each with a checksum. The mission decides which lines must be on the disk
-//! before it makes a promise. Each mission has a folder with `journal`, which is locked while its scheduler lives, and `control`, its
+//! before it sends requests. Each mission has a folder with `journal`, which is locked while its scheduler lives, and `control`, its
 //! socket.
 
 mod disk;
@@ -53,12 +53,12 @@ pub struct Opened {
     /// The folder that must contain all files named by the scenario and the fleet. `None` if the operator named no such folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
-    /// The operator's other choices: acts, robots, speed.
+    /// The operator's other choices: acts, robots, speed and approach.
     pub asked: Asked,
     /// SHA-256 of the plan, as in certificates. `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
-    /// The start that the operator fixed, and the permitted delay of starts at fixed times.
+    /// The start time that the operator fixed for an act, and the permitted delay of starts at fixed times.
     pub fixed: FixedStarts,
     /// Whether the mission asks robots for their identity, in handshake steps 1 to 4.
     pub greeting: Greeting,
@@ -154,9 +154,9 @@ pub struct Journal<D = FileDisk> {
     disk: D,
     path: PathBuf,
     contents: Option<Contents>,
-    /// Number of durable records appended since the journal was opened.
+    /// Number of durable records (those that must survive a power loss) appended since the journal was opened.
     appended: u64,
-    /// Number of appended durable records that are on the disk.
+    /// Number of appended durable records that have reached the disk.
     on_disk: u64,
     /// The first write failure. `None` until a write fails; after that, all records are refused.
     broken: Option<String>,
@@ -242,8 +242,8 @@ impl<D: Disk> Journal<D> {
         Ok(())
     }
 
-    /// Syncs the disk if a durable record may not be on it yet. Returns the number of durable records written to the disk since the
-    /// journal was opened.
+    /// Syncs the disk if it may still lack a durable record (one that must survive a power loss). Returns the number of durable records
+    /// written to the disk since the journal was opened.
     ///
     /// # Errors
     /// Returns the reason why written records may be lost.
@@ -310,7 +310,7 @@ pub struct NoStateFolder;
 /// Returns the parent of all mission folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
 ///
 /// # Errors
-/// Fails if none of these variables is set. In the latter two, a path that is not absolute is ignored.
+/// Fails if none of the variables (including `HOME`) is set. Except in `DOWNBEAT_STATE`, a path that is not absolute is ignored.
 pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
     let from = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let absolute = |name: &str| from(name).filter(|path| path.is_absolute());

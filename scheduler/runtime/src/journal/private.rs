@@ -1,6 +1,6 @@
 //! Opens folders and files of the state folder, which must belong to the user of this process. If something else has their name, such as
-//! another user's folder, a link or a pipe, this module returns an error that names it. It never opens, follows or waits for such a
-//! thing.
+//! another user's folder, a link or a pipe, this module returns an error that names it. This module never opens, follows or waits for
+//! such an object.
 
 use std::fs::{DirBuilder, File};
 use std::io::{self, ErrorKind};
@@ -103,7 +103,7 @@ pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
     }
 }
 
-/// Opens the file `name` in a folder of the state, or creates it as `how` permits.
+/// Opens the file `name` in a subfolder of the state folder, or creates it as `how` permits.
 ///
 /// # Errors
 /// Fails like [`folder`], and also for anything that is not a regular file.
@@ -139,7 +139,7 @@ pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
     Ok(file)
 }
 
-/// Checks that the socket `name` in a folder of the state belongs to this user, and returns its path.
+/// Checks that the socket `name` in a subfolder of the state folder belongs to this user, and returns its path.
 ///
 /// # Errors
 /// Returns [`NotPrivate`], or the operating system's error.

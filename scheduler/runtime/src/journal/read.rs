@@ -85,7 +85,7 @@ impl Contents {
         Ok(Self { opened, opened_at, kept: Kept::of_bytes(bytes) })
     }
 
-    /// Returns the state in which the mission left its robots.
+    /// Returns the state in which the mission left its robots, including the ids that the robots use for themselves.
     #[must_use]
     pub fn left(&self) -> Left {
         let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));

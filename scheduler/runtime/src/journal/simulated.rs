@@ -8,7 +8,7 @@ use super::disk::Disk;
 #[derive(Clone, Debug, Default)]
 pub struct SimulatedDisk {
     bytes: Vec<u8>,
-    /// Number of bytes, from the beginning, that survive a power loss.
+    /// Number of bytes at the beginning of the file that survive a power loss.
     synced: usize,
     /// Maximum size of the file in bytes. `None` for no limit.
     capacity: Option<usize>,
@@ -21,19 +21,19 @@ impl SimulatedDisk {
         Self { capacity, ..Self::default() }
     }
 
-    /// The contents of the file.
+    /// Returns the contents of the file.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Number of bytes that a power loss may destroy.
+    /// Returns the number of bytes that a power loss may destroy.
     #[must_use]
     pub const fn at_risk(&self) -> usize {
         self.bytes.len() - self.synced
     }
 
-    /// Number of bytes, from the beginning, that survive a power loss.
+    /// Returns the number of bytes at the beginning of the file that survive a power loss.
     #[must_use]
     pub const fn synced(&self) -> usize {
         self.synced

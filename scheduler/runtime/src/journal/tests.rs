@@ -255,7 +255,8 @@ fn a_journal_whose_first_line_is_damaged_is_named() {
     assert!(Missions::of(state.path()).unwrap().damaged.is_empty());
 }
 
-/// Creates a mission whose journal is `megabytes` long, most of it a hole in the file.
+/// Creates a mission whose journal is `megabytes` MiB long, most of it a hole in the file. If `ends`, the journal states that the mission
+/// has ended.
 fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
     let folder = state.join(format!("m{number}"));
     let mut journal = Journal::open(&folder).unwrap();
@@ -506,7 +507,7 @@ async fn the_thread_tells_that_the_journal_is_lost() {
     while !matches!(writer.next().await, News::Lost(_)) {}
 }
 
-/// Creates a journal with a promise in the folder of a mission, and returns it with its contents.
+/// Creates a journal that promises an act in a mission's folder, and returns it with its contents.
 fn promised(mission: &Path) -> (Journal, Vec<u8>) {
     let mut journal = Journal::open(mission).unwrap();
     journal.begin(at(1), &opened()).unwrap();
@@ -668,7 +669,7 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     );
 }
 
-/// Writes a journal with these records and reads it back.
+/// Writes a journal with `records` and reads it back.
 fn kept(records: &[Record]) -> Kept {
     let folder = tempfile::tempdir().unwrap();
     let mut journal = Journal::open(folder.path()).unwrap();

@@ -14,13 +14,13 @@ use downbeat_mission::Record;
 pub const WAITING_MAX: usize = 4_096;
 /// Maximum time to wait for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
-/// Interval between checks that the journal is still found under its name, if no record arrives.
+/// Interval between checks that the journal can still be found under its name, while no record arrives.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// How far the records of a mission have been written.
+/// The progress of writing a mission's records.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Written {
-    /// Number of durable records on the disk.
+    /// Number of durable records (those that must survive a power loss) on the disk.
     count: u64,
     /// Number of times that the journal was removed or replaced and written again.
     again: u32,
@@ -31,17 +31,17 @@ struct Written {
 /// A report from the thread that writes the journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
-    /// The number of durable records on the disk.
+    /// More durable records are on the disk. Contains their total number.
     Recorded(u64),
     /// The journal was removed or replaced, and has been written again.
     WrittenAgain,
-    /// The reason why the journal takes no further records.
+    /// The journal takes no further records, for the contained reason.
     Lost(String),
 }
 
 impl Written {
-    /// Returns the next news that `now` contains for a reader that already knows `self`, and adds it to `self`. `WrittenAgain` comes
-    /// before `Recorded`, because only the rewritten file makes the records durable.
+    /// Returns one change from `self`, which a reader already knows, to the newer state `now`, and adds it to `self`. `WrittenAgain`
+    /// comes before `Recorded`, because only the rewritten file makes the records durable.
     fn learn(&mut self, now: &Self) -> Option<News> {
         if self.again != now.again {
             self.again = now.again;
@@ -66,7 +66,7 @@ pub struct Writer<D = FileDisk> {
     written: watch::Receiver<Written>,
     /// The state that [`Writer::next`] has already reported.
     known: Written,
-    /// Receives the journal from the thread once the thread has ended.
+    /// Receives the journal back from the thread once the thread has ended.
     back: oneshot::Receiver<Journal<D>>,
 }
 

@@ -1,4 +1,4 @@
-//! The record of all certificates that an authority has issued, one line of JSON each.
+//! The record of all certificates that an authority has issued. Each line of the file is a JSON object for one certificate.
 
 use std::path::Path;
 
@@ -110,13 +110,13 @@ impl Issued {
         &self.entries
     }
 
-    /// Returns the certificate last issued to this robot or operator.
+    /// Returns the certificate last issued to this robot or operator; `None` if none was issued.
     #[must_use]
     pub fn latest(&self, name: &Name) -> Option<&Entry> {
         self.entries.iter().rev().find(|entry| entry.is_of(name))
     }
 
-    /// Revokes all certificates of a robot or operator. Returns how many of them were not revoked before.
+    /// Revokes all certificates of a robot or operator. Returns the number of certificates that were not revoked before.
     pub(super) fn revoke(&mut self, name: &Name, now: i64) -> usize {
         let counts = self.entries.iter_mut().filter(|entry| entry.is_of(name) && entry.revoked.is_none());
         counts.map(|entry| entry.revoked = Some(now)).count()

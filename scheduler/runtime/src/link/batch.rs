@@ -1,4 +1,4 @@
-//! A batch of messages that are written at once. It omits the bytes of scripts that were published for several robots.
+//! A batch of messages that are written at once. It omits the bytes of scripts that were published once for several robots.
 
 use urrcp::{Command, ControlRequest, Encoding, Message, Script, encode_as};
 
@@ -33,7 +33,7 @@ impl Batch {
         self.bytes.len() + self.text_bytes
     }
 
-    /// Appends a message. Returns the number of bytes that it has for the robot, including a published text. `offer` publishes the
+    /// Appends a message. Returns the number of bytes that the robot reads for it, including a published text. `offer` publishes the
     /// message's script if other robots receive the same script.
     pub(crate) fn push(
         &mut self,
@@ -64,8 +64,8 @@ impl Batch {
     }
 }
 
-/// Publishes the script of a request. Returns the request without the script, and the published text. Returns `None` if the script was
-/// not published.
+/// Publishes the script of a request by calling `offer`. Returns the request without the script, and the published text; `None` if
+/// `offer` did not publish the script.
 fn published(
     request: &ControlRequest,
     offer: impl FnOnce(&Script) -> Option<Text>,
@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
 
-    /// Inserts the texts into the batch as the robot's side does.
+    /// Inserts the published texts into the batch, as the robot's side does.
     fn put_together(batch: &Batch) -> Vec<u8> {
         let (mut all, mut done) = (Vec::new(), 0);
         for (at, text) in batch.texts() {

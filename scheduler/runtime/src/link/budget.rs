@@ -27,16 +27,15 @@ const REFILL_BYTES: u64 = 64 * 1024;
 const ANSWERS_TO_A_REQUEST: u64 = 3;
 /// Maximum size of a response in bytes, without the request that it repeats: names, times, hash, reason.
 const ANSWER_BYTES: u64 = 4 * 1024;
-/// Maximum size of a script repeated in a response, relative to the script as sent: the robot may repeat in JSON a script that it
+/// Maximum size of a script repeated in a response, as a multiple of its size when sent. The robot may repeat in JSON a script that it
 /// received in the compact encoding.
 const REPEATED: u64 = 8;
-/// Maximum number of responses that are permitted but have not arrived. It suffices for three scripts on each of 32,000 devices, and
-/// more.
+/// Maximum number of permitted responses that have not yet arrived. It suffices for three scripts on each of 32,000 devices, and more.
 const ASKED_MESSAGES_MAX: u64 = 500_000;
-/// Maximum total size, in bytes, of responses that are permitted but have not arrived.
+/// Maximum total size, in bytes, of permitted responses that have not yet arrived.
 const ASKED_BYTES_MAX: u64 = 1024 * 1024 * 1024;
 
-/// How long messages are read on a link to a robot that has flooded, from the first received bytes.
+/// How long a link to a robot that has flooded (sent more than permitted) is read, from the first received bytes.
 const SIFTED_FOR: Span = Span::from_millis(2_000);
 
 /// How much a robot may still send on all its links together. It is kept per robot, because responses to requests on a broken link arrive
@@ -50,11 +49,11 @@ struct Allowance {
     reserve: Amount,
     /// When the reserve was last refilled. `None` until the first bytes arrive.
     filled: Option<Timestamp<Server>>,
-    /// The responses that are still accepted from a robot that has flooded. `None` if the robot never flooded.
+    /// The responses that are still accepted from a robot that has flooded (sent more than permitted). `None` if the robot never flooded.
     sieve: Option<Sieve>,
 }
 
-/// The responses still permitted to requests sent to a robot since it flooded.
+/// The responses still permitted for a robot that has flooded (sent more than permitted). They belong to requests sent since then.
 #[derive(Debug, Default)]
 struct Sieve {
     /// Number of responses that may still arrive for each request.
@@ -166,7 +165,7 @@ impl Allowance {
     }
 }
 
-/// The received data of one link, which is counted against the robot's allowance.
+/// Counts the data received on one link against the robot's allowance.
 #[derive(Debug)]
 pub(crate) struct Budget {
     asked: Asked,
@@ -179,12 +178,13 @@ pub(crate) struct Budget {
 enum Hears {
     /// All messages, as long as the robot stays within its allowance.
     All,
-    /// Only responses to requests sent since the robot flooded. Contains when the first bytes arrived, or `None` before that.
+    /// Only responses to requests sent since the robot flooded (sent more than permitted). Contains when the first bytes arrived; `None`
+    /// before that.
     Sifted(Option<Timestamp<Server>>),
 }
 
 impl Budget {
-    /// Creates the budget of a new link to the robot that owns `asked`.
+    /// Creates the budget of a new link. `asked` is the allowance of the link's robot.
     pub(crate) fn new(asked: Asked) -> Self {
         let hears = if asked.lock().sieve.is_some() { Hears::Sifted(None) } else { Hears::All };
         Self { asked, came: Amount::default(), hears }
@@ -226,7 +226,7 @@ impl Budget {
         })
     }
 
-    /// Whether the robot has flooded before, so that this link accepts only responses to later requests.
+    /// Whether the robot has already flooded (sent more than permitted). If so, this link accepts only responses to later requests.
     pub(crate) const fn is_sifted(&self) -> bool {
         matches!(self.hears, Hears::Sifted(_))
     }

@@ -78,7 +78,7 @@ impl OfSite {
 
 #[cfg(not(feature = "zenoh"))]
 impl Network {
-    /// Returns the endpoint of the robot at a key.
+    /// Returns the endpoint of the robot at a key. Cannot be called, because no value of this type exists without Zenoh.
     #[must_use]
     pub const fn endpoint(&self, _: &str, _: LinkEncoding) -> Option<Endpoint> {
         match *self {}

@@ -31,7 +31,7 @@ impl LinkEncoding {
         if self.understood.load(Ordering::Relaxed) { self.wanted } else { Encoding::Json }
     }
 
-    /// If the message is the robot's initialization block, notes whether it lists the wanted encoding.
+    /// Notes whether the robot's initialization block lists the wanted encoding, if `message` is that block.
     pub(super) fn hear(&self, message: &Message) {
         if let Message::InitializationBlock(block) = message {
             self.understood.store(block.understands(self.wanted), Ordering::Relaxed);

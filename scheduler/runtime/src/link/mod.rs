@@ -39,7 +39,7 @@ use downbeat_mission::{Event, Loss};
 /// Maximum number of messages that may wait to be sent to one robot. If there are more, the link is treated as broken.
 const OUTGOING_MAX: usize = 40_000;
 
-/// Number of places that one link's events may occupy in the mission's queue. If all are occupied, this link waits; the other links have
+/// Number of places that one link's events may occupy in the mission's queue. If all are occupied, this link waits; other links have
 /// their own places.
 const PLACES: usize = 256;
 /// A message of n bytes occupies n / `PLACE_BYTES` places, rounded down, plus one, but at most `PLACES`.
@@ -82,7 +82,7 @@ pub enum Endpoint {
         /// Whether and how both sides authenticate.
         security: Security,
     },
-    /// A robot at a key of a Zenoh network.
+    /// A robot that is reached through a key of a Zenoh network.
     #[cfg(feature = "zenoh")]
     Zenoh {
         /// The Zenoh network.
@@ -95,8 +95,8 @@ pub enum Endpoint {
 }
 
 impl Endpoint {
-    /// Returns the Zenoh session's id and the place in the robot's key, or `None` without Zenoh. Robots that share both can receive what
-    /// is published for several robots.
+    /// Returns the id of the Zenoh session and the place (the robot's key without its last part), or `None` without Zenoh. Robots for
+    /// which both are equal can receive texts that are published once for several robots.
     fn place(&self) -> Option<shared::Place> {
         match self {
             #[cfg(feature = "zenoh")]
@@ -121,16 +121,16 @@ struct Peer {
     reach: Reach,
     encoding: LinkEncoding,
     of: OfRobot,
-    /// Scripts sent on this link. The robot repeats a script when it accepts it.
+    /// Scripts sent on this link. They are kept because a robot repeats a script when it accepts it.
     sent: KnownScripts,
 }
 
 /// State shared by all links to one robot.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OfRobot {
-    /// How much the robot may send, given the requests to it on all links.
+    /// How much the robot may still send, on all its links together.
     pub(crate) asked: Asked,
-    /// The robot's scripts that other robots receive as well.
+    /// The scripts that this robot and others receive.
     pub(crate) shared: SharedScripts,
     pub(crate) long_upload: LongUpload,
 }
@@ -156,8 +156,8 @@ struct Queue {
 pub(crate) type Outgoing = Box<Message>;
 
 impl Link {
-    /// Opens a link after the delay `after`. Its events are sent to `events` with the robot's index and the link's number, both from
-    /// `of`.
+    /// Opens a link after the delay `after`. `of` contains the robot's index and the link's number; they accompany each event sent to
+    /// `events`.
     pub fn open(
         of: (usize, LinkNumber),
         endpoint: Endpoint,
@@ -218,7 +218,7 @@ impl Link {
         Self { outgoing, urgent, task: task.abort_handle() }
     }
 
-    /// Queues a message. A link that is down drops it; the mission receives a separate event when a link goes down.
+    /// Queues a message. If the link is down, the message is dropped; a separate event informs the mission that the link is down.
     ///
     /// # Errors
     /// Returns [`QueueFull`] if the robot does not read. The message is then lost.
@@ -262,7 +262,7 @@ impl Queue {
     }
 }
 
-/// Timestamps the events of a link and sends them to the mission's driver.
+/// Timestamps the events of a link and sends them to the mission's loop.
 #[derive(Clone)]
 struct EventSink {
     robot: usize,
@@ -276,7 +276,7 @@ struct EventSink {
 #[derive(Clone)]
 enum Events {
     Plain(mpsc::Sender<Happened>),
-    /// Each event occupies places of the semaphore. `None` if places are not counted.
+    /// Each event occupies places in the mission's queue, which the semaphore counts. `None`: places are not counted.
     Placed(mpsc::Sender<Waiting>, Option<Arc<Semaphore>>),
 }
 
@@ -285,7 +285,7 @@ impl EventSink {
         self.put_long(event, 0).await;
     }
 
-    /// Sends an event of `bytes` bytes once there are enough free places. A missing receiver is ignored: the mission has ended and does
+    /// Sends an event of `bytes` bytes once enough places are free. A missing receiver is ignored, because the mission has ended and does
     /// not need the event.
     async fn put_long(&self, event: Event, bytes: usize) {
         let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));

@@ -51,7 +51,7 @@ impl Text {
 pub(crate) enum Reach {
     /// The robot listens on TCP.
     Tcp { host: String, port: u16, security: Security },
-    /// The robot is at a key of a Zenoh network.
+    /// The robot is reached through a key of a Zenoh network.
     #[cfg(feature = "zenoh")]
     Zenoh { network: Network, key: Key },
 }
@@ -59,8 +59,8 @@ pub(crate) enum Reach {
 /// The purpose of a connection to a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose<'a> {
-    /// A link for all messages of a mission. Some messages are published once for an audience; `audiences` are those to which the robot
-    /// belongs.
+    /// A link for all messages of a mission. `audiences` are the numbers of the robot's audiences. An audience is a set of robots for
+    /// which a script is published once.
     Link { audiences: &'a [u32] },
     /// A separate connection for a stop, so that no other message delays it.
     Stop,
@@ -102,8 +102,8 @@ pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Resul
     writer.flush().await
 }
 
-/// Publishes a script once for an audience and returns the published text. Returns `None` if the script must be written to each robot
-/// instead.
+/// Publishes a script once for an audience, a set of robots, and returns the published text. Returns `None` if the script must be written
+/// to each robot instead.
 #[cfg(feature = "zenoh")]
 pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option<Text> {
     let Either::Right(stream) = writer else { return None };
@@ -111,8 +111,8 @@ pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option
     stream.offer((audience, Command::Script(script.clone()).content_hash()), text)
 }
 
-/// Publishes a script once for an audience and returns the published text. Returns `None` if the script must be written to each robot
-/// instead.
+/// Publishes a script once for an audience, a set of robots, and returns the published text. Without Zenoh, always returns `None`, so the
+/// script is written to each robot instead.
 #[cfg(not(feature = "zenoh"))]
 pub(crate) const fn offer(_: &WriteEnd, _: u32, _: &Script) -> Option<Text> {
     None

@@ -1,5 +1,5 @@
-//! Finds the scripts of a mission that several robots at one place of a Zenoh network receive. Such a script is published at this place
-//! once, for all its receivers. The robots that receive the same script are its audience.
+//! Finds scripts of a mission that several robots at one place (their common key prefix) of a Zenoh network receive. Such a script is
+//! published at this place once, for all its receivers. The robots that receive the same script are its audience.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,18 +12,19 @@ use downbeat_mission::Mission;
 /// Minimum number of steps of a published script. Shorter scripts are written to each robot, because publishing would cost more than it
 /// saves.
 const STEPS_MIN: usize = 16;
-/// Maximum number of audiences to which one robot belongs. Scripts for other audiences are written to the robot directly.
+/// Maximum number of audiences (sets of robots that receive the same script) to which one robot belongs. Scripts for other audiences are
+/// written to the robot directly.
 const AUDIENCES_MAX: usize = 32;
 
-/// The id of a Zenoh session, and a place in that network.
+/// The id of a Zenoh session, and a place (a key prefix that robots share) in its network.
 pub(super) type Place = (String, String);
 
 /// The scripts that one robot shares with other robots at the same place of a Zenoh network.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SharedScripts {
-    /// The number of the audience for each shared script at the robot's place, by the script's hash.
+    /// For the hash of each shared script at the robot's place: the number of its audience, the robots that receive it.
     audience_of: Arc<HashMap<ContentHash, u32>>,
-    /// The numbers of the audiences to which the robot belongs.
+    /// The numbers of the audiences (sets of robots that receive the same script) to which the robot belongs.
     own: Vec<u32>,
 }
 
@@ -52,7 +53,7 @@ impl SharedScripts {
         &self.own
     }
 
-    /// Returns the number of the script's audience, if the robot belongs to that audience.
+    /// Returns the number of the script's audience (the robots that receive it); `None` if the robot does not belong to it.
     pub(crate) fn audience(&self, script: &Script) -> Option<u32> {
         if self.own.is_empty() || !is_long(script) {
             return None;
@@ -61,7 +62,7 @@ impl SharedScripts {
     }
 }
 
-/// Finds the scripts that several robots at one place receive. `sent` contains the index of a robot and one of its scripts.
+/// Finds the scripts that several robots at one place receive. Each element of `sent` is a robot's index and one of its scripts.
 fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> {
     sent.sort_by_key(|(robot, _)| *robot);
     let mut sets = Sets::default();
@@ -94,7 +95,7 @@ fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> 
 struct Sets {
     /// The last robot and the size of each set except the empty one.
     known: Vec<(usize, usize)>,
-    /// Maps the number of a set and an additional robot to the number of the set that also contains this robot.
+    /// Maps a set's number and an additional robot to the number of the set with that robot added.
     larger: HashMap<(usize, usize), usize>,
 }
 
@@ -144,7 +145,7 @@ mod tests {
         Script::new((0..steps).map(step).collect()).unwrap()
     }
 
-    /// Returns, for each robot, the audience of each script in `of`.
+    /// Returns the index of each robot with shared scripts, and its audience for each script in `of`.
     fn audiences(sent: &[(usize, &Script)], of: &[&Script]) -> Vec<(usize, Vec<Option<u32>>)> {
         let shared = in_one_place(sent.to_vec());
         let row = |shared: &SharedScripts| of.iter().map(|script| shared.audience(script)).collect();

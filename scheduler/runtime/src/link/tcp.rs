@@ -15,7 +15,7 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::{Event, Loss};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// How long to wait for responses to a stop that was sent on a separate connection.
+/// How long to wait for responses on the separate connection of a stop.
 const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
 /// Number of bytes collected before one write, so that a burst of requests takes one system call.
 const WRITE_BATCH: usize = 64 * 1024;
@@ -57,10 +57,10 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
     }
 }
 
-/// Delay before an invalid line is reported. If the robot floods its link with such lines meanwhile, only the flooding is reported.
+/// Delay before an invalid line is reported. If the robot floods its link with invalid lines in this time, only the flooding is reported.
 const GARBLED_AFTER: Span = Span::from_millis(50);
 
-/// Invalid lines whose report is delayed, with their faults.
+/// Invalid lines whose report is delayed; each is stored as a description of its fault.
 #[derive(Debug, Default)]
 struct Garbled {
     reasons: Vec<String>,
@@ -81,7 +81,7 @@ impl Garbled {
     }
 }
 
-/// Reads the robot's messages until the connection ends. Returns the reason.
+/// Reads the robot's messages until the connection ends. Returns why it ended.
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default().that_knows(peer.sent.clone());

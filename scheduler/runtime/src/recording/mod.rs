@@ -43,7 +43,7 @@ impl RecordingError {
     }
 }
 
-/// Returns the reason of the failure. For an error of the operating system, also returns how to resolve it.
+/// Returns the reason of the failure. For an error of the operating system, also returns what to do about it.
 fn why(path: &Path, error: &McapError) -> String {
     match error {
         McapError::Io(error) => Refusal::of(Attempt::Write(path), error).to_string(),
@@ -59,7 +59,7 @@ fn reason(error: &McapError) -> String {
     }
 }
 
-/// Interval between flushes to the file. If the process is killed, at most the messages of this time are missing in the file.
+/// Interval between flushes to the file. If the process is killed, the file lacks at most the messages of this time.
 const FLUSH_EVERY: Span = Span::from_millis(1_000);
 
 /// A recording file that is being written.
@@ -215,8 +215,8 @@ impl Recording {
         }
     }
 
-    /// Records a measurement of the robot's clock from the times in its response: when the request was sent and received, and when the
-    /// response was sent.
+    /// Records a measurement of the robot's clock. It uses the times stated in a response: when the request was sent and received, and
+    /// when the response was sent.
     fn clock(
         &mut self,
         at: Timestamp<Server>,

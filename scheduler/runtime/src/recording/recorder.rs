@@ -16,7 +16,7 @@ const WAITING_MAX: usize = 65_536;
 /// Maximum time to wait for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 
-/// An entry for the recording: a function that writes it.
+/// A function that writes one entry to the recording.
 type Note = Box<dyn FnOnce(&mut Recording) + Send>;
 
 /// Sends entries of a recording to the thread that writes them.

@@ -2,8 +2,8 @@
 //!
 //! The mission sends `ready` on every connection. It answers `go`, or `go ACT`, with `started ACT` or `refused: REASON`. It answers
 //! `stop`, or `home`, which sends robots to their default state, with `heard` once it has taken the command. It then sends `alive` four
-//! times a second while it stops, and finally its report, a line of JSON. `superseded` precedes the report if a later stop command
-//! brought the robots to rest in the other manner. The client therefore knows within a second whether the mission responds.
+//! times a second while it stops, and finally its report, a line of JSON. `superseded` precedes the report if a later command replaced
+//! the client's: a `stop` by a `home`, or a `home` by a `stop`. The client therefore knows within a second whether the mission responds.
 //!
 //! A mission with an identity sends `ready NONCE`. A client with its own identity then sends the line `as CERTIFICATE SIGNATURE` before
 //! its command, and may send the commands that its roles permit ([`super::desk`]). The mission answers any other command with `refused:
@@ -39,15 +39,15 @@ const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// Interval between `alive` messages while a mission stops.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
-/// If the loop of a stopping mission makes no progress for this long, the mission closes the connection. The client then contacts the
-/// robots itself.
+/// Time without progress of a stopping mission's loop, after which the mission closes the connection. The client then contacts the robots
+/// itself.
 const STANDS_STILL: Duration = Duration::from_secs(2);
 /// Interval between checks that the socket can still be found under its name.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// Interval between checks whether the mission has taken a command.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
-/// The line sent before the report if a later stop command brings the robots to rest in the other manner.
+/// The line that precedes the report if a later command replaced the client's: `stop` by `home`, or `home` by `stop`.
 const SUPERSEDED: &str = "superseded";
 
 /// Returns the path of the socket in a mission's folder.
@@ -75,13 +75,13 @@ pub struct Control {
     /// The task that accepts connections, and the task that checks the socket's name.
     listening: [AbortHandle; 2],
     report: watch::Sender<Option<String>>,
-    /// The channel closes once every client that requested a stop has received the result.
+    /// The channel that closes once every client that requested a stop has received the result.
     told: mpsc::Receiver<()>,
 }
 
 impl Control {
-    /// Listens until [`Control::end`]. With a desk, operators that present an identity may do what their roles permit. If the socket is
-    /// removed or replaced, it is created again, together with its folder.
+    /// Listens until [`Control::end`]. If `desk` is given, it decides which commands operators with an identity may send. If the socket
+    /// is removed or replaced, it is created again, together with its folder.
     ///
     /// # Errors
     /// Fails if the socket cannot be created, for example because its path is too long.
@@ -181,8 +181,8 @@ impl Place {
     }
 }
 
-/// Checks the socket's name at regular intervals, and sends each socket that had to be created again. Another thread accesses the disk,
-/// because the disk may stall.
+/// Checks the socket's name at regular intervals. If the socket had to be created again, sends the new one to `made_again`. Another
+/// thread accesses the disk, because the disk may stall.
 async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
     let mut before = None;
     loop {
@@ -219,9 +219,10 @@ struct Listener {
     writer: OwnedWriteHalf,
     voice: OperatorHandle,
     report: watch::Receiver<Option<String>>,
-    /// The desk that verifies the client's identity, and the challenge that the client must sign. `None` if the mission has no identity.
+    /// The desk, which verifies the client's identity, and the challenge that the client must sign. `None` if the mission has no
+    /// identity.
     desk: Option<(Arc<Desk>, Challenge)>,
-    /// The operator who sends the command. `None` for the operator who began the mission.
+    /// The operator who sends the command; `None` for the operator who began the mission.
     by: Option<String>,
 }
 
@@ -321,7 +322,7 @@ pub enum Undelivered {
     Refused(String),
 }
 
-/// Returns the name of the mission that has this folder.
+/// Returns the name of the mission to which this folder belongs.
 fn mission_of(folder: &Path) -> String {
     folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
@@ -358,7 +359,7 @@ pub async fn go(
 pub struct Ending {
     /// The mission's report, a line of JSON.
     pub report: String,
-    /// Whether a later stop command replaced the client's stop.
+    /// Whether a later command replaced the client's: `stop` by `home`, or `home` by `stop`.
     pub superseded: bool,
 }
 
@@ -408,7 +409,7 @@ impl Speaker {
         Ok(Self { reader: BufReader::new(reader), writer })
     }
 
-    /// Sends the identity to a mission that asks for one.
+    /// Sends the client's identity to the mission, if the mission asks for one.
     async fn present(
         &mut self,
         folder: &Path,

@@ -41,7 +41,7 @@ impl Challenge {
         &self.nonce
     }
 
-    /// Returns the bytes to sign. No other statement that is signed with an operator's key has this prefix.
+    /// Returns the bytes to sign. They start with a prefix that no other statement signed with an operator's key has.
     fn statement(&self, word: &str) -> Vec<u8> {
         format!("downbeat control\0{}\0{}\0{word}", self.mission, self.nonce).into_bytes()
     }
@@ -52,7 +52,7 @@ impl Challenge {
 pub struct Presented(Credentials);
 
 impl Presented {
-    /// Wraps the identity that was read from an identity file.
+    /// Wraps the credentials that were read from an identity file.
     #[must_use]
     pub const fn new(credentials: Credentials) -> Self {
         Self(credentials)

@@ -19,16 +19,16 @@ use downbeat_mission::drive::drive;
 use downbeat_mission::report::Report;
 use downbeat_mission::{Mission, Progress};
 
-/// Optional resources of a mission. The mission returns them when it ends.
+/// Optional resources of a mission, such as its journal. The mission returns them when it ends.
 #[derive(Debug, Default)]
 pub struct Keep {
-    /// The journal, which records the promises to robots.
+    /// The journal, which records the requests that the mission is about to send, and the course of the mission.
     pub journal: Option<Journal>,
     /// The recording of all messages and decisions.
     pub recording: Option<Recorder>,
-    /// The watch that compares the server's clock with NTP during the mission.
+    /// The task that compares the server's clock with NTP during the mission.
     pub ntp: Option<NtpWatch>,
-    /// The lane that stops the robots even if everything else is blocked.
+    /// The stop lane, a thread that stops the robots even if everything else is blocked.
     pub stop_lane: Option<StopLane>,
     /// The watchers, for example for metrics and traces.
     pub watches: Watches,

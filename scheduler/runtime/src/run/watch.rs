@@ -15,7 +15,7 @@ pub trait Watch: Debug + Send {
     /// Called for each iteration of the mission's loop.
     fn turned(&mut self, _now: Timestamp<Server>, _mission: &Mission) {}
 
-    /// Returns the time by which the loop must iterate again even if nothing happens. `None` for no limit.
+    /// Returns the time by which the loop must make another iteration even if nothing happens. `None` for no limit.
     fn turns_by(&self) -> Option<Timestamp<Server>> {
         None
     }
@@ -23,10 +23,11 @@ pub trait Watch: Debug + Send {
     /// Called when the loop has woken up from a timer. `_late` is the delay after the due time.
     fn woke(&mut self, _late: Span) {}
 
-    /// Called when a durable record is sent to the journal.
+    /// Called when a durable record (one that must survive a power loss) is sent to the journal.
     fn filed(&mut self, _at: Timestamp<Server>) {}
 
-    /// Called when durable records have reached the disk. `_count` is the total number of durable records on the disk.
+    /// Called when durable records (those that must survive a power loss) have reached the disk. `_count` is their total number on the
+    /// disk.
     fn recorded(&mut self, _at: Timestamp<Server>, _count: u64) {}
 
     /// Called when the mission is over.

@@ -18,10 +18,11 @@ use downbeat_mission::clock::NtpState;
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Mission, Progress, Record};
 
-/// Maximum number of events that may wait for the mission. Once as many wait, links wait before they send more.
+/// Maximum number of events that may wait for the mission. While this many wait, links send no further events.
 const EVENTS_MAX: usize = 65_536;
 
-/// Number of another process's scripts per device for which responses are permitted, in addition to the link's reserve.
+/// Number of scripts per device that another process may have sent. The responses to them are permitted in addition to the link's
+/// reserve.
 const SCRIPTS_HELD: usize = 16;
 
 pub(super) struct RealWorld<T> {
@@ -121,7 +122,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
-    /// Returns the next event before `until`, in the order of precedence that all environments of a mission use.
+    /// Returns the next event before `until`. If several are ready, follows the order of precedence that all environments of a mission
+    /// use.
     async fn happens(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         tokio::select! {
             biased;

@@ -35,13 +35,13 @@ const WORDS_MAX: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Alarm {
     Quiet,
-    /// A stop was requested. The latest command determines how the robots come to rest.
+    /// A stop was requested. The contained value states how the robots come to rest, as the latest command requires.
     Ringing(Rest),
     /// The operator's latest stop command sends robots home. All robots rest, and the mission moves them to their default positions.
     GoingHome,
 }
 
-/// The session and the devices that an earlier process of the same mission has moved.
+/// The session of a mission that an earlier process began, and the devices that this earlier process has moved.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
     /// The session as the robots know it. `None` without a session.
@@ -58,7 +58,7 @@ pub struct StopLane {
     voice: OperatorHandle,
     alarm: watch::Receiver<Alarm>,
     robots: Vec<SentScripts>,
-    /// The robots' tasks end when this is dropped.
+    /// The tasks that guard the robots end when this sender is dropped.
     over: watch::Sender<()>,
 }
 
@@ -118,13 +118,13 @@ impl StopLane {
         self.voice.clone()
     }
 
-    /// The runtime of the lane, for tasks that must receive a stop even if everything else is blocked.
+    /// Returns the runtime of the lane, for tasks that must receive a stop even if everything else is blocked.
     #[must_use]
     pub const fn runtime(&self) -> &Handle {
         &self.runtime
     }
 
-    /// Completes once the operator has requested a stop.
+    /// Returns a future that completes once the operator has requested a stop.
     pub fn is_stopped(&self) -> impl Future<Output = ()> + use<> {
         let mut alarm = self.alarm.clone();
         async move {
@@ -175,12 +175,12 @@ impl StopLane {
         self.over.send_replace(());
     }
 
-    /// Records that the mission's loop has made another iteration.
+    /// Records that the mission's loop has completed an iteration, which shows that it is not blocked.
     pub(crate) fn turned(&self) {
         self.voice.turned();
     }
 
-    /// Permits the mission's motions home, unless the operator has requested another kind of stop meanwhile.
+    /// Permits the mission to move robots home, unless the operator has requested a stop in place meanwhile.
     pub(crate) fn goes_home(&self) {
         self.voice.goes_home();
     }

@@ -1,5 +1,5 @@
-//! Information about the messages that the mission has sent to a robot, as far as a stop needs it. The mission's loop writes this record,
-//! and the stop lane reads its latest version. Neither waits for the other.
+//! What a stop needs to know about the messages that the mission has sent to a robot. The mission's loop writes this record, and the stop
+//! lane reads its latest version. Neither waits for the other.
 
 use std::collections::BTreeSet;
 
@@ -9,34 +9,34 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Serve
 use crate::link::{Link, Outgoing};
 use downbeat_mission::session;
 
-/// Information about the messages that the mission has sent to a robot, as far as a stop needs it.
+/// What a stop needs to know about the messages that the mission has sent to a robot.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sent {
     /// The devices for which the mission has sent a command that moves them.
     devices: BTreeSet<DeviceId>,
-    /// The latest timestamp of the requests sent to the robot, on the robot's own clock if that differs from the server's. A stop also
-    /// cancels requests up to this timestamp that arrive later.
+    /// The latest timestamp of the requests sent to the robot, by the robot's own clock if that differs from the server's. A stop also
+    /// cancels requests that arrive after it but have a timestamp up to this one.
     latest: Option<Timestamp<Server>>,
     /// The session as the robot knows it. `None` without a session.
     session: Option<SessionId>,
-    /// The channel of the mission's own link for messages that overtake all waiting ones. `None` before the first link.
+    /// The channel of the mission's own link to the robot, for messages that overtake all waiting ones. `None` before the first link.
     pub(super) link: Option<mpsc::UnboundedSender<Outgoing>>,
     /// Whether a link of the mission to this robot has ever been up.
     pub(super) reached: bool,
 }
 
 impl Sent {
-    /// Creates the record for a robot of a mission that another process began. `devices` are those that this process moved.
+    /// Creates the record for a robot of a mission that an earlier process began. `devices` are those that the earlier process moved.
     pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
         Self { devices: devices.clone(), session, ..Self::default() }
     }
 }
 
-/// Whether a message may be sent.
+/// Whether the mission may send a message to a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Passage {
     Open,
-    /// The operator has requested a stop.
+    /// The message must not be sent, because the operator has requested a stop.
     Closed,
 }
 
@@ -47,7 +47,7 @@ pub(super) enum Moves {
     Devices,
 }
 
-/// The mission's end of the record: writes a new version of [`Sent`].
+/// The mission's end of the record [`Sent`]. It writes new versions, which the stop lane reads.
 #[derive(Debug)]
 pub(super) struct SentScripts(watch::Sender<Sent>);
 
@@ -84,8 +84,8 @@ impl Sent {
         self.session.clone_from(&request.session);
     }
 
-    /// Returns a stop for each device that may move because of the mission's commands, each with its own request id. Devices come to rest
-    /// where they are, even if the mission moves them home afterwards.
+    /// Returns a stop for each device that may move because of the mission's commands, each with its own request id. The stops bring
+    /// devices to rest where they are, even if the mission moves them home afterwards.
     pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();

@@ -16,11 +16,11 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::drive::Happened;
 use downbeat_mission::{Event, Rest, may_be_for_a_stop};
 
-/// Pause between attempts to connect: initial and maximum value. The pause doubles after each attempt.
+/// Initial and maximum pause between attempts to connect. The pause doubles after each attempt.
 const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
-/// If the robot does not confirm a stop within this time, the lane sends the stop on the mission's own link as well.
+/// Time after which the lane also sends an unconfirmed stop on the mission's own link.
 const ANSWERS_SOON: Duration = Duration::from_millis(100);
-/// Maximum duration of an attempt to stop: initial and maximum value. The duration doubles after each attempt.
+/// Initial and final time limit of an attempt to stop. The limit doubles after each attempt.
 const TRY_WITHIN: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(1));
 
 /// Stops that the robot has not confirmed, by request id.
@@ -30,7 +30,7 @@ type Open = BTreeMap<RequestId, Message>;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Attempt {
     Over,
-    /// The operator has requested another kind of rest, which the variant contains.
+    /// The operator has now requested the contained kind of rest (in place or at home) instead of the previous one.
     Otherwise(Rest),
 }
 
@@ -53,7 +53,8 @@ impl Guard {
         self.stop(connection, known, rest).await;
     }
 
-    /// Waits until the operator requests a stop. Returns the connection, if one is up, and the requested rest.
+    /// Waits until the operator requests a stop. Returns the connection if one is up, and the requested kind of rest (in place or at
+    /// home).
     async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> (Option<Connection>, Rest) {
         let mut ringing = pin!(rings(self.alarm.clone(), None));
         tokio::select! {
@@ -89,8 +90,8 @@ impl Guard {
         }
     }
 
-    /// Stops the robot. Stops it again at each different command of the operator, because the mission may have moved the robot home
-    /// meanwhile.
+    /// Stops the robot. When the operator requests another kind of rest (in place or at home), stops it again, because the mission may
+    /// have moved it home meanwhile.
     async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
         loop {
             self.stop_once(&mut connection, &mut known, &mut rest).await;
@@ -152,7 +153,7 @@ impl Guard {
     }
 
     /// Sends the unconfirmed stops and waits until all are confirmed. Returns earlier if the connection ends or if the operator requests
-    /// another kind of rest.
+    /// another kind of rest (in place or at home).
     async fn attempt(
         &self,
         connection: &mut Option<Connection>,
@@ -206,8 +207,8 @@ impl Guard {
         }
     }
 
-    /// Forwards reports of scripts to the mission, if it has room for them. A response without a request id is not forwarded, because it
-    /// may belong to a request of the lane.
+    /// Forwards robots' reports on scripts to the mission, if its queue has room for them. A response without a request id is not
+    /// forwarded, because it may belong to a request of the lane.
     fn hand_on(&self, message: Message) {
         if let Message::ControlResponse(ControlResponse { request_id: Some(_), .. }) = &message {
             let event = Box::new(Event::Received { robot: self.robot, message });
@@ -215,7 +216,7 @@ impl Guard {
         }
     }
 
-    /// Sends the stops on the mission's own link as well.
+    /// Sends the unconfirmed stops on the mission's own link as well.
     fn overtake(&self, open: &Open) {
         if let Some(link) = &self.sent.borrow().link {
             open.values().for_each(|stop| {
@@ -229,13 +230,13 @@ fn confirms(response: &ControlResponse) -> bool {
     response.status == Status::Ok
 }
 
-/// Whether an `OK` without a request id responds to this stop and does not report the end of a script on the same device.
+/// Whether a response without a request id confirms this stop, rather than the end of a script on the same device.
 fn is_for(stop: &Message, response: &ControlResponse) -> bool {
     may_be_for_a_stop(response)
         && matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
-/// Waits until the operator requests a kind of rest other than `known`, and returns that kind.
+/// Waits until the operator requests a kind of rest (in place or at home) other than `known`, and returns that kind.
 async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
     let other = |alarm: &Alarm| matches!(alarm, Alarm::Ringing(rest) if Some(*rest) != known);
     match alarm.wait_for(other).await.map(|alarm| *alarm) {

@@ -1,5 +1,5 @@
-//! The operator's commands, from signals or from the mission's socket. A stop sets off the lane's alarm, and the mission receives every
-//! command.
+//! The operator's commands, from signals or from the mission's socket. A stop sets off the stop lane's alarm, so that robots stop at
+//! once. The mission receives every command.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,7 +12,7 @@ use super::Alarm;
 use crate::signals::{Asked, Signals, die_of};
 use downbeat_mission::Rest;
 
-/// Maximum time for final reports once the operator has asked to leave at once, or once the mission is over. The process then ends.
+/// Maximum time for final reports, once the operator has asked to leave at once or the mission is over. The process then ends.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 
 /// The operator's commands while a mission runs.
@@ -21,11 +21,12 @@ const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 pub enum Operator {
     /// Begin the act that currently waits for the operator.
     Go {
-        /// The requested act. `None` for whichever act waits.
+        /// The name of the requested act. `None` for any act that waits.
         act: Option<String>,
         /// The operator who sends the command. `None` for the operator who began the mission.
         by: Option<String>,
-        /// Receives the act that begins, or the reason why none does. The channel closes without a value if the mission ends first.
+        /// Receives the name of the act that begins, or the reason why none begins. The channel closes without a value if the mission
+        /// ends first.
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
@@ -59,7 +60,7 @@ impl OperatorHandle {
         Self { mission, alarm, turns: Arc::default() }
     }
 
-    /// Records that the mission's loop has made another iteration.
+    /// Records that the mission's loop has completed an iteration, which shows that it is not blocked.
     pub(super) fn turned(&self) {
         self.turns.fetch_add(1, Ordering::Relaxed);
     }
@@ -76,8 +77,9 @@ impl OperatorHandle {
         Some(self.turns.load(Ordering::Relaxed)).filter(|turns| *turns != OVER)
     }
 
-    /// Sends a command. Returns once it is in the mission's queue. A stop always sets off the alarm before this function returns. If the
-    /// queue has room, the command is queued before the alarm, so that the mission knows why its robots end their scripts.
+    /// Sends a command. Returns once it is in the mission's queue. A stop always sets off the alarm, which stops the robots, before this
+    /// function returns. If the queue has room, the command is queued before the alarm, so that the mission knows why its robots end
+    /// their scripts.
     ///
     /// # Errors
     /// Returns [`MissionOver`] if the mission takes no further commands.
@@ -100,7 +102,7 @@ impl OperatorHandle {
         }
     }
 
-    /// Whether the operator's latest stop brings the robots to rest in the manner `rest`.
+    /// Whether the operator's latest stop brings the robots to the kind of rest `rest` (in place or at home).
     #[must_use]
     pub fn latest_is(&self, rest: Rest) -> bool {
         match *self.alarm.borrow() {
@@ -110,7 +112,7 @@ impl OperatorHandle {
         }
     }
 
-    /// Permits the mission's motions home if the operator's latest stop command still sends robots home.
+    /// Permits the mission to move robots home, if the operator's latest stop command still sends them home.
     pub(super) fn goes_home(&self) {
         self.alarm.send_if_modified(|alarm| {
             let wanted = *alarm == Alarm::Ringing(Rest::Home);
@@ -152,9 +154,9 @@ async fn die_soon(asked: Asked) {
     die_of(asked);
 }
 
-/// Returns the command that a signal stands for. Every signal stops the robots, but a Ctrl-C after another signal ends the program. A
-/// second signal of any other kind does not: it may arrive unasked, for example when a terminal closes. While robots may be moving home,
-/// a Ctrl-C stops them first.
+/// Returns the command that a signal stands for. Every signal stops the robots, but a Ctrl-C after another signal ends the program. Other
+/// second signals do not end it, because they may be sent unintentionally, for example when a terminal closes. While robots may be moving
+/// home, a Ctrl-C stops them first.
 const fn word_of(asked: Asked, before: Option<Asked>, goes_home: bool) -> Operator {
     match (before, asked) {
         (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },

@@ -1,5 +1,5 @@
-//! The graph of a scenario. The course connects the acts; each act contains its cues and their relations. The module `dot` writes the
-//! graph for Graphviz.
+//! The graph of a scenario: its acts, the edges that show which act follows which, and the cues of each act with their relations. The
+//! module `dot` writes the graph for Graphviz.
 
 mod dot;
 
@@ -147,7 +147,7 @@ fn cue_node(id: String, cue: &PlannedCue, written: Option<&WrittenCue>) -> CueNo
     }
 }
 
-/// Whether a relation without slack connects two cues of the critical path.
+/// Whether a relation connects two cues of the critical path and leaves no slack between them.
 fn is_critical(cues: &[PlannedCue], gap: Gap) -> bool {
     let instant = |moment: Moment| {
         let cue = cues.get(moment.cue()).filter(|cue| cue.critical)?;
@@ -205,7 +205,7 @@ pub(super) mod tests {
     use super::*;
     use downbeat_scripts::{Fleet, NoFiles, Source, compile, outline};
 
-    /// Builds the graph of a scenario without a fleet. The cues in `text` must be marks, because marks need no robots.
+    /// Builds the graph of a scenario without a fleet. All cues in `text` must be marks (cues without robots and tracks).
     pub(in crate::graph) fn graph(text: &str) -> Graph {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
         let fleet = Fleet::default();

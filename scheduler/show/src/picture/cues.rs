@@ -12,7 +12,7 @@ const ROW: f64 = 18.0;
 const BAR: f64 = 14.0;
 /// Maximum number of rows. Cues that would need more rows are counted, not drawn.
 const ROWS_MAX: usize = 40;
-/// Minimum distance between two cues of a row in pixels.
+/// Minimum distance between two cues in the same row, in pixels.
 const GAP: f64 = 6.0;
 /// Maximum width of a drawn name in columns. The bar's title contains the whole name.
 const LABEL_MAX: usize = 32;
@@ -150,8 +150,8 @@ fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64
     }
 }
 
-/// Returns the index of the first row whose last cue has ended, or of a new row. Returns `None` if that would exceed the maximum number
-/// of rows.
+/// Reserves the space from `start` to `end`, in pixels, in the first row that has room for it, or else in a new row. Returns the index of
+/// the row, or `None` if a new row would exceed the maximum number of rows.
 fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
     let free = ends.iter().position(|before| before + GAP <= start);
     let row = free.or_else(|| {

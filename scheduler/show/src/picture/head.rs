@@ -50,7 +50,7 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// Returns the sample in SVG, its meaning, and the width of both in pixels.
+    /// Returns the entry of the legend for this kind: a sample in SVG, its meaning, and the width of both in pixels.
     const fn entry(self) -> (&'static str, &'static str, f64) {
         match self {
             Self::Cue => ("<rect y='-5' width='22' height='10' class='cue'/>", "cue", 62.0),

@@ -20,7 +20,7 @@ const MARGIN: f64 = 6.0;
 const LANES_MAX: usize = 120;
 /// Maximum width, in columns, of a device's name to the left of its lane.
 const LABEL_MAX: usize = 22;
-/// Width, in pixels, of a column whose dots are reduced to a few because they overlap.
+/// Width of a column in pixels. Dots within one column overlap, so only a few of them are drawn.
 const DOTS: f64 = 2.0;
 /// Distance in pixels. If more than half of a lane's dots are closer than this to the next dot, all its dots are smaller. The line then
 /// stays visible.
@@ -151,8 +151,8 @@ impl Lane<'_> {
         steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
     }
 
-    /// Returns the planned values as points until the movement ends. `which` is the index of the value in each step. A device that holds
-    /// its values is drawn as a staircase.
+    /// Returns a point for each planned value, up to the end of the movement. `which` is the index of the value in each step. A device
+    /// that holds its values is drawn as a staircase.
     fn planned(&self, which: usize, frame: &Frame, scale: &Scale) -> Vec<(f64, f64)> {
         let mut points: Vec<(f64, f64)> = Vec::new();
         for script in &self.scripts {
@@ -171,7 +171,7 @@ impl Lane<'_> {
         points
     }
 
-    /// Returns the values that the robot set as points, at the true times at which they become visible.
+    /// Returns a point for each value that the robot set, at the true time at which the value becomes visible.
     fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
         let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
             let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);

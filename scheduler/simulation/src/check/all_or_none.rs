@@ -1,8 +1,10 @@
 //! Checks invariant (a): an act starts on all of its robots or on none.
 //!
-//! A robot is excused only by a fault of its own link, process or clock that begins within the window stated at the decision of this act.
-//! The remaining robots must agree. If they do not, only two events excuse the whole act: the end or a stall of the scheduler between the
-//! commitment and the last start, and a stop after the point of no return.
+//! A robot that deviates from the others needs an excuse: a fault of its own link, process or clock. The fault must begin within the
+//! window that was stated when this act was decided. All robots without an excuse must agree.
+//!
+//! If they do not, only two events excuse the whole act. One is that the scheduler ended or stalled between the commitment and the last
+//! start. The other is a stop after the point of no return.
 
 use std::collections::HashMap;
 
@@ -15,16 +17,16 @@ use crate::{DrawnRobot, Fault, Happened, Network};
 use downbeat_mission::ClockMode;
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// Maximum delay with which a robot still performs a start.
+/// Maximum delay after which a robot still starts a script.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
-/// Maximum time until an edge notices that its hardware has died silently.
+/// Maximum time until an edge (a process that controls separate hardware) notices that its hardware has stopped answering.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
-/// How long the mission waits for a lost report, including the remaining duration of the script.
+/// How long the mission waits for a report that was lost, including the remaining duration of the script.
 const AWAITED: Span = Span::from_millis(2_500);
 
-/// Nominal start of an act that was never sent, used for the comparison with a "go" message.
+/// Assumed start of the first act if it was never sent, for the comparison with a "go" message.
 const NEVER_SENT: Span = Span::from_millis(1_500);
 
 /// Whether a robot started an act, and its excuse.
@@ -70,8 +72,9 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that a robot with `pending_until` starts no act unless an inquiry has moved the limit beyond the start. This holds regardless
-/// of the robot's link, its clock and the scheduler. Only the commitment moves the limit.
+/// Checks that a robot with `pending_until` starts no act before an inquiry has moved this limit beyond the start. At this limit, the
+/// robot drops scripts that have not started. Only the commitment moves the limit. This holds regardless of the robot's link, its clock
+/// and the scheduler.
 fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
     let knows = |robot: &&Started| facts.drawn().robots[robot.robot].block.inquiry;
     for robot in
@@ -85,7 +88,8 @@ fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], ve
     }
 }
 
-/// Whether an inquiry reached the robot and moved the limit of a script of the act beyond the start, by the robot's own clock.
+/// Whether an inquiry reached the robot and set `pending_until` of a script of the act beyond the script's start, by the robot's own
+/// clock.
 fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let beyond = |inquiry: &urrcp::Inquiry| {
         let Some((until, named)) = inquiry.pending_until.zip(inquiry.requests.first()) else { return false };
@@ -98,7 +102,7 @@ fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     })
 }
 
-/// The result for the first act of a mission that sent no act: no robot started it.
+/// Returns the starts of the first act of a mission that sent no act: no robot started it.
 fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     let plan = &facts.drawn().choreography.acts.first()?.plan;
     let robots = plan.robots.iter().filter_map(|robot| facts.index_of(&robot.robot));
@@ -107,9 +111,9 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     Some(ActStarts { number: 0, start, robots, starts: Starts::None })
 }
 
-/// Whether a robot takes part in the act at the act's start. A robot that was left out earlier does not, unless it moves nevertheless. A
-/// robot that was left out because it missed its start does. A robot with a later start in an act that was stopped has not missed its
-/// start.
+/// Whether a robot takes part in the act at its start. A robot that was left out before the act's start does not, unless it moves
+/// nevertheless. A robot that was left out later, because it missed its start, does take part. If the act was stopped before the planned
+/// start of a robot, that robot does not take part.
 fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let Some(first) = act.first_movement(robot).filter(|_| facts.honest(robot)) else { return false };
     let began = act.of(robot).any(SentScript::began);
@@ -137,13 +141,13 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
     why_the_scheduler(facts, act).or_else(|| late_stop(facts, act))
 }
 
-/// The latest instant at which a robot can start the act.
+/// Returns the latest instant at which a robot can start the act; `None` if the robot has no script in it.
 fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let (_, late) = early_and_late(facts, robot);
     Some(act.first_movement(robot)? + late + START_LATE_MAX)
 }
 
-/// The most relevant fault of a robot that satisfies a condition and begins between two instants.
+/// Returns the cause with the highest precedence among a robot's faults that satisfy `counts` and begin between two instants.
 fn own_fault(
     facts: &Facts<'_>,
     robot: usize,
@@ -154,7 +158,7 @@ fn own_fault(
     facts.hits.iter().filter(begins).filter(|hit| counts(hit)).map(|hit| hit.cause).min()
 }
 
-/// The robot's own fault within the window of the act that made it miss its start.
+/// Returns the robot's own fault that made it miss its start, if any. The fault must begin within the window of the act.
 fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
     let silent_hardware = (window.0 - HARDWARE_SILENT, window.1);
@@ -172,9 +176,9 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
 }
 
-/// The latest instant at which a robot's process may end early enough to withdraw the act: three round trips before the point of no
-/// return. `None` unless the robot's operating system closes its connection and refuses the next one, and neither its link nor the
-/// scheduler has another fault.
+/// Returns the latest instant at which the scheduler can still withdraw the act if the robot's process ends: three round trips before the
+/// point of no return. `None` unless the robot's operating system closes its connection and refuses the next one, and neither its link
+/// nor the scheduler has another fault.
 fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let drawn = facts.drawn();
     let usual = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -191,8 +195,9 @@ fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Optio
     (usual && all_told && !facts.hits.iter().any(other)).then_some(by)
 }
 
-/// The excuse of a robot that starts later than the act, as planned or because its clock is slow, and was left out after the act's start.
-/// The fault may have begun earlier, for example the loss of a report that the mission no longer awaits.
+/// Returns the excuse of a robot that was left out between the act's start and its own, later start. That start is later as planned, or
+/// because the robot's clock is slow. The fault may have begun earlier: for example, a report was lost, and the mission stopped waiting
+/// for it.
 fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let (_, late) = early_and_late(facts, robot);
     let first = act.first_movement(robot)? + late;
@@ -201,7 +206,8 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
     own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
 }
 
-/// The excuse that the scheduler's process was not running when the robot reported. It applies only to robots that report only once.
+/// Returns the excuse that the scheduler's process was not running when the robot sent its report. It applies only to robots that send
+/// each report once.
 fn told_nobody(
     facts: &Facts<'_>,
     robot: usize,
@@ -212,7 +218,7 @@ fn told_nobody(
     found.map(|hit| hit.cause)
 }
 
-/// Whether a fault is the death of hardware that did not inform its edge.
+/// Whether a fault is that hardware stopped answering without closing its connection to the edge.
 fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
     let untold =
         |fault: &Fault| matches!(fault, Fault::HardwareDies { robot, told: false, .. } if hit.is_of(*robot));
@@ -221,7 +227,8 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
         && at_once.into_iter().any(|(_, what)| matches!(what, Happened::Fault(fault) if untold(fault)))
 }
 
-/// The robot's own fault that explains why it started although the others did not: its clock was set, or a stop did not reach it in time.
+/// Returns the robot's own fault that explains why it started although the others did not. For example, its clock was set, or a stop did
+/// not reach it in time.
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
@@ -245,9 +252,9 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// The excuse for starting an act that was never decided. A script arrived late, because the robot's link carried nothing or its process
-/// stalled. Therefore the script's lease extended beyond the start, or the robot had dropped the preceding script. The scheduler was not
-/// running to withdraw the act.
+/// Returns the excuse for starting an act that was never decided, because a script arrived late. The robot's link carried nothing, or its
+/// process stalled. Therefore the script's lease extended beyond the start, or the robot had dropped the preceding script. The scheduler
+/// was not running to withdraw the act.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
@@ -257,9 +264,9 @@ fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestam
     hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
 }
 
-/// The excuse of a robot that accepts no inquiries, so that no inquiry limits its lease. A message was sent in time, but the robot's own
-/// link or process delayed it too long. It renewed the lease beyond the start of an act that was not committed. The scheduler was not
-/// running to withdraw the act.
+/// Returns the excuse of a robot that accepts no inquiries, which could limit its lease, in an act that was not committed. A message was
+/// sent in time, but the robot's own link or process delayed it. So it renewed the lease beyond the start. The scheduler was not running
+/// to withdraw the act.
 fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -296,9 +303,11 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     causes?.into_iter().min()
 }
 
-/// The excuse for a script that begins without the preceding script of its device, in an act that was not committed. Such a script waits
-/// under the running lease of the preceding one. The robot accepts no inquiries. Its link or process delayed the script until the pending
-/// lease of the preceding script had ended and the robot had dropped that. The scheduler was not running to withdraw the act.
+/// Returns the excuse for a script that begins without the preceding script of its device, in an act that was not committed. Such a
+/// script normally waits under the running lease of the preceding one.
+///
+/// The robot accepts no inquiries. Its link or process delayed the script until the robot had dropped the preceding script, whose pending
+/// lease had ended. The scheduler was not running to withdraw the act.
 fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let begins = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -331,8 +340,8 @@ fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Opt
     hits.filter(own).map(|hit| hit.cause).min()
 }
 
-/// The excuse of a robot whose clock was set so shortly before it started that no inquiry could reveal it in time. The answer and a
-/// subsequent stop would have been too late.
+/// Returns the excuse of a robot whose clock was set shortly before it started. No inquiry could reveal the change in time for a stop to
+/// arrive before the start.
 fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = act.of(robot).flat_map(|script| script.log.first()).map(|entry| entry.true_ns).min()?;
     let began = Timestamp::<Server>::from_nanos(first);
@@ -341,12 +350,12 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
-/// The end of a pending lease, the send time of the inquiry that set this end, and the length of the lease. An older inquiry that arrives
-/// afterwards does not remove the end.
+/// The end of a pending lease, the send time of the inquiry that set this end, and the length of the lease. A script waits for its start
+/// under its pending lease. An older inquiry that arrives later does not remove the end.
 type LeaseEnd = (Timestamp<Server>, Option<Timestamp<Server>>, Span);
 
-/// Whether a message that permits the robot to start arrived well before the end of the robot's lease, and the lease extended beyond the
-/// start. Renewals of the lease by later messages count. In that case the robot's link is no excuse.
+/// Whether the message that permits the robot to start arrived well before the end of the robot's lease, and the lease extended beyond
+/// the start. Renewals of the lease by later messages count. If so, the robot's link does not excuse a missed start.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
@@ -383,16 +392,17 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
     false
 }
 
-/// Whether the robot received a message so shortly before its start that the running lease had not expired either.
+/// Whether the robot received a message so shortly before the act's start that its running lease extended beyond the latest possible
+/// start.
 fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let running = act.of(robot).filter_map(|script| script.promised.running).map(urrcp::Millis::span).min();
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
     running.zip(last).is_none_or(|(lease, last)| last + lease > act.promise.start + START_LATE_MAX)
 }
 
-/// The excuse that the scheduler ended or stalled after the commitment was recorded and before every robot had started. Once all robots
-/// have answered the commitment, their leases extend beyond the start of the act. From that time, robots that start at the act's start no
-/// longer need the scheduler.
+/// Returns the excuse that the scheduler ended or stalled after the commitment was recorded and before every robot had started. Once all
+/// robots have answered the commitment, their leases extend beyond the start of the act. Robots that start at that instant do not need
+/// the scheduler afterwards.
 fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let committed = act.committed?;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -403,7 +413,7 @@ fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     facts.hits.iter().filter(own).map(|hit| hit.cause).min()
 }
 
-/// The excuse of a stop after the point of no return: it may reach some robots before their start and others after it.
+/// Returns the excuse of a stop after the point of no return. Such a stop may reach some robots before their start and others after it.
 fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let no_return = act.decided?.no_return;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -411,8 +421,8 @@ fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     late.then_some(Cause::LateStop)
 }
 
-/// How much earlier and later than planned a robot may start, according to its drawn clock: by the clock's offset or, if the offset is
-/// measured, by half of the possible asymmetry of the paths.
+/// Returns how much earlier and how much later than planned a robot may start. This is the offset of its clock or, if the offset is
+/// measured, half of the possible asymmetry of the network path. Each value includes an allowance for drift.
 fn early_and_late(facts: &Facts<'_>, robot: usize) -> (Span, Span) {
     let DrawnRobot { clock, settings, slow, .. } = &facts.drawn().robots[robot];
     let paths = (facts.drawn().delay.1 + *slow) / 2;

@@ -1,5 +1,5 @@
-//! Collects the faults of a run, each with its interval and with what it affects: a robot's own link, process or clock, or the scheduler.
-//! Every excuse must be such a fault or an operator's stop, and concern the robot that is excused.
+//! Collects the faults of a run. Each has an interval, and affects a robot's own link, process or clock, or the scheduler. Every excuse
+//! must be such a fault or an operator's stop. A robot is excused only by its own faults or by those of the scheduler.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub enum Cause {
     RobotPause,
     /// The robot's own clock was set.
     ClockSet,
-    /// Another robot answered at the robot's own address, or another session claimed the robot.
+    /// Another robot answered at the robot's own address, or another session took over the robot.
     Stranger,
     /// The robot's own hardware died.
     Hardware,
@@ -39,7 +39,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// All causes. If several apply, the first one takes precedence.
+    /// All causes, in order of precedence. If several apply, the first one is reported.
     pub const ALL: [Self; 13] = [
         Self::RobotCrash,
         Self::RobotPause,
@@ -56,8 +56,9 @@ impl Cause {
         Self::LateStop,
     ];
 
-    /// The largest share of acts in which this cause may excuse a violation of an invariant: about a quarter more than observed in a
-    /// million seeds. A larger share means that the excuse has become broader, or that missions react differently to the fault.
+    /// Returns the largest permitted share of acts in which this cause excuses a violation of an invariant. It is about a quarter more
+    /// than observed in a million seeds. A larger share means that the excuse has become broader, or that missions react differently to
+    /// the fault.
     #[must_use]
     pub const fn largest_share(self, invariant: char) -> f64 {
         let of_100_000 = match (invariant, self) {
@@ -116,7 +117,7 @@ pub(super) struct Hit {
     pub(super) from: Timestamp<Server>,
     /// End of the fault.
     pub(super) until: Timestamp<Server>,
-    /// The amount by which a clock was set.
+    /// The amount by which the fault set a clock.
     pub(super) by: Span,
 }
 
@@ -171,19 +172,19 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     hits.all
 }
 
-/// The faults collected so far, and which of them continue.
+/// The faults collected so far, and those among them that have not ended.
 struct Hits {
     all: Vec<Hit>,
-    /// The end condition of each continuing fault, with the index of the fault in `all`.
+    /// The end condition of each fault that has not ended, with the index of the fault in `all`.
     open: Vec<(End, usize)>,
 }
 
-/// The end condition of a continuing fault.
+/// The condition under which a fault ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// The fault ends with the next message from the robot.
     Heard,
-    /// The fault ends when a connection is established that was started at or after this instant.
+    /// The fault ends when a connection is established, if the attempt began at or after this instant.
     Linked(Timestamp<Server>),
     /// The fault ends when the robot returns.
     Back,

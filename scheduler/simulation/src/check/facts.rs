@@ -1,4 +1,4 @@
-//! The events of a run, ordered by act, robot and script, for the checks of the invariants.
+//! Orders the events of a run by act, robot and script, so that the invariants can be checked.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,8 +10,8 @@ use super::cause::{Cause, Hit, hits_of};
 use crate::{Drawn, Fault, Happened, Names, Network, Ran};
 use downbeat_mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
 
-/// Maximum time until the mission notices that a clock was set. On a link that loses answers, only the next inquiry, a second later,
-/// shows it.
+/// Maximum time until the mission notices that a clock was set. If a link loses answers, only the next inquiry, one second later, shows
+/// the change.
 const SEEN_AFTER: Span = Span::from_millis(1_100);
 
 /// The events of a run in a form that the checks of the invariants need.
@@ -21,11 +21,11 @@ pub(super) struct Facts<'a> {
     pub(super) acts: Vec<SentAct<'a>>,
     /// The faults, in order of their start.
     pub(super) hits: Vec<Hit>,
-    /// For each robot: when it was left out, if it was.
+    /// For each robot: when the mission left it out; `None` if it did not.
     pub(super) dropped: Vec<Option<Timestamp<Server>>>,
-    /// The times at which all robots were stopped.
+    /// The instants at which stops of all robots began.
     pub(super) stopping: Vec<Timestamp<Server>>,
-    /// The clock of the scheduler's process minus the true time, each value with the instant from which it applied.
+    /// By how much the clock of the scheduler's process was ahead of the true time. Each value applies from its instant on.
     ahead: Vec<(Timestamp<Server>, Span)>,
     planned: Vec<(Timestamp<Server>, &'a Choreography)>,
 }
@@ -35,17 +35,18 @@ pub(super) struct SentAct<'a> {
     pub(super) promise: &'a Promise,
     /// The act as the scheduler had planned it.
     pub(super) written: &'a Act,
-    /// When the act was promised.
+    /// When the act was promised (recorded before it was sent).
     pub(super) at: Timestamp<Server>,
-    /// The clock of the process that promised the act, minus the true time. The times in `promise` are already converted to true time.
+    /// By how much the clock of the process that promised the act was ahead of the true time. The times in `promise` are already
+    /// converted to true time.
     pub(super) ahead: Span,
-    /// Whether a process that resumed the mission promised another act with the same number, so that this act is forgotten.
+    /// Whether a process that resumed the mission did not know this act, and promised another act with the same number.
     pub(super) superseded: bool,
     /// Whether the act was withdrawn and prepared again with another number.
     pub(super) repeated: bool,
-    /// The skew budget that was reported to the operator before the act was sent.
+    /// The skew budget (the predicted differences between the robots' starts) that was reported to the operator before the act was sent.
     pub(super) skew: Option<&'a SkewBudget>,
-    /// The message to the operator that reported the decision.
+    /// The decision of the act, as reported to the operator; `None` if it was not decided.
     pub(super) decided: Option<Decision>,
     /// When the commitment was first recorded.
     pub(super) committed: Option<Timestamp<Server>>,
@@ -54,12 +55,12 @@ pub(super) struct SentAct<'a> {
     pub(super) scripts: Vec<SentScript<'a>>,
 }
 
-/// The message to the operator that reported the decision.
+/// The decision of an act, as reported to the operator.
 #[derive(Clone, Copy)]
 pub(super) struct Decision {
-    /// The latest instant at which the act is withdrawn if a failure is known.
+    /// The point of no return: the latest instant at which the scheduler withdraws the act because of a failure.
     pub(super) no_return: Timestamp<Server>,
-    /// Time before the start of the act. Silence of a robot that begins later may be noticed too late.
+    /// Length of the interval before the act's start in which the mission may notice a robot's sudden silence too late.
     pub(super) doubt: Span,
 }
 
@@ -67,9 +68,10 @@ pub(super) struct Decision {
 pub(super) struct SentScript<'a> {
     pub(super) robot: usize,
     pub(super) promised: &'a PromisedScript,
-    /// The shift of the script's timestamp for the robot's clock, according to the journal.
+    /// The time that was added to the script's timestamp for the robot's clock, according to the journal.
     pub(super) shift: Span,
-    /// The shift in the request that arrived first. Set only for a later script of a device whose robot's clock is measured.
+    /// The shift in the first request that arrived with this script. Set only if the robot's clock is measured and the script is not the
+    /// first one of its device.
     pub(super) arrived_shift: Option<Span>,
     /// The script in the choreography; `None` if the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
@@ -79,7 +81,8 @@ pub(super) struct SentScript<'a> {
     pub(super) log: Vec<&'a LogEntry>,
 }
 
-/// The choreographies that include acts planned after stops, each with the time at which it was reported.
+/// Returns the choreographies that the mission reported after stops, each with the time of the report. They include the acts that were
+/// planned after the stop.
 fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
     let planned = ran.history.iter().filter_map(|(at, happened)| {
         let Happened::Told(told) = happened else { return None };
@@ -93,9 +96,9 @@ fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
     planned.collect()
 }
 
-/// The name under which a script was promised to a robot. If a device had no room for a script, the script is sent again under another
-/// name. This happens only for robots that neither report nor answer inquiries, because the mission has to guess when the device has
-/// room.
+/// Returns the request id under which a script was promised to a robot. If a device had no room for a script, the script is sent again
+/// under another id. This happens only with robots that neither report nor answer inquiries, because the mission has to guess when their
+/// devices have room.
 fn promised_name_of<'n>(ran: &Ran, robot: usize, id: &'n str) -> &'n str {
     let block = &ran.drawn.robots[robot].block;
     if block.reports || block.inquiry { id } else { promised_name(id) }
@@ -209,8 +212,8 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Collects the shift with which each script first arrived, if it may differ from the shift of the act. That is possible for the
-    /// later scripts of a device.
+    /// Stores the shift with which each script first arrived, if it may differ from the shift of the act. Only scripts after the first
+    /// one of a device may differ.
     fn take_shifts(&mut self, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         let mut sent: HashMap<_, _> = HashMap::new();
         for (at, happened) in &self.ran.history {
@@ -244,7 +247,8 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Collects the messages to the operator about the acts, by the clock of the process that sent them.
+    /// Stores the content of the messages to the operator about the acts. The times in these messages are by the clock of the process
+    /// that sent them.
     fn take_words(&mut self) {
         for (at, happened) in &self.ran.history {
             let Happened::Told(progress) = happened else { continue };
@@ -272,8 +276,8 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Whether a process that resumed the act may not know the offset with which this script was sent. That is possible if the robot's
-    /// clock is measured and an earlier script of the act is for the same device.
+    /// Whether a process that resumed the mission may not know the clock offset with which this script was sent. That is possible if the
+    /// robot's clock is measured and the act has an earlier script for the same device.
     pub(super) fn offset_may_be_lost(&self, act: &SentAct<'_>, script: &SentScript<'_>) -> bool {
         let is_before = |other: &SentScript<'_>| {
             other.robot == script.robot
@@ -288,7 +292,7 @@ impl<'a> Facts<'a> {
             && self.ran.history.iter().any(taken_up)
     }
 
-    /// The clock of the scheduler's process minus the true time.
+    /// Returns by how much the clock of the scheduler's process was ahead of the true time.
     pub(super) fn ahead_at(&self, at: Timestamp<Server>) -> Span {
         self.ahead.iter().rev().find(|(from, _)| *from <= at).map_or(Span::ZERO, |(_, ahead)| *ahead)
     }
@@ -303,14 +307,14 @@ impl<'a> Facts<'a> {
     }
 
     /// Whether the robot's confirmations of stops are reliable. The robot must not lie. If another process may have answered in its
-    /// place, the answers to inquiries must show the mission which scripts that process lacks.
+    /// place, answers to inquiries must show which scripts that process lacks.
     pub(super) fn rests_as_reported(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         let is_known = drawn.block.inquiry && drawn.names == Names::Echoed;
         drawn.lie.is_none() && (is_known || !self.has_twin(robot))
     }
 
-    /// Whether another process used the id of the robot.
+    /// Whether another process with the id of the robot answered in its place.
     pub(super) fn has_twin(&self, robot: usize) -> bool {
         self.drawn()
             .faults
@@ -324,7 +328,7 @@ impl<'a> Facts<'a> {
         drawn.names == Names::Echoed || drawn.block.inquiry
     }
 
-    /// The name under which a script was promised to a robot.
+    /// Returns the request id under which a script was promised to a robot.
     pub(super) fn promised_name<'n>(&self, robot: usize, id: &'n str) -> &'n str {
         promised_name_of(self.ran, robot, id)
     }
@@ -337,7 +341,7 @@ impl<'a> Facts<'a> {
         &self.drawn().robots[robot].block.id
     }
 
-    /// Whether the robot's clock was set during the run, so that it does not determine true times.
+    /// Whether the robot's clock was set during the run, so that true times cannot be computed from it.
     pub(super) fn clock_was_set(&self, robot: usize) -> bool {
         self.hits.iter().any(|hit| hit.cause == Cause::ClockSet && hit.is_of(robot))
     }
@@ -347,7 +351,7 @@ impl<'a> Facts<'a> {
         self.taken_up().next().is_some()
     }
 
-    /// When other processes of the scheduler resumed the mission, and how.
+    /// Returns when other processes of the scheduler took over the mission, and whether they resumed or withdrew it.
     pub(super) fn taken_up(&self) -> impl DoubleEndedIterator<Item = (Timestamp<Server>, &'static str)> + '_ {
         self.ran.history.iter().filter_map(|(at, happened)| match happened {
             Happened::TakenUp(how) => Some((*at, *how)),
@@ -361,7 +365,7 @@ impl<'a> Facts<'a> {
         self.taken_up().any(|(at, _)| at >= act.at && ended.is_none_or(|ended| at < ended))
     }
 
-    /// When the act ended for the last time. A process whose disk had lost the record of the end ends the act again.
+    /// Returns when the end of the act was last recorded. If the disk had lost the record of the end, the next process records it again.
     pub(super) fn ended(&self, act: &SentAct<'_>) -> Option<Timestamp<Server>> {
         self.ran.records.iter().rev().find_map(|(at, record)| match record {
             Record::ActEnded { report, .. } if report.number == act.promise.number && *at >= act.at => {
@@ -384,7 +388,7 @@ impl<'a> Facts<'a> {
     }
 
     /// Whether a record written at an instant was certainly on the disk when the scheduler's process ended, so that the next process read
-    /// it. A sync in progress is completed first.
+    /// it. This assumes that a sync in progress is completed first.
     pub(super) fn was_kept(&self, at: Timestamp<Server>) -> bool {
         let crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash && hit.from >= at);
         let Some(ended) = crashes.map(|hit| hit.from).min() else { return true };
@@ -412,7 +416,7 @@ impl<'a> Facts<'a> {
         self.asked(robot, since, by).next().is_some()
     }
 
-    /// When messages that ask for a clock reading reached a robot, with the same limits as for `was_asked`.
+    /// Returns when messages that ask for a clock reading reached a robot. `since` and `by` have the same meaning as for `was_asked`.
     pub(super) fn asked(
         &self,
         robot: usize,
@@ -432,8 +436,9 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether the scheduler died between stopping two devices of a robot that accepts no inquiries, before an act that was not
-    /// committed. The first stop renewed the lease of the other device, and no inquiry could shorten that lease in advance.
+    /// Whether the scheduler died after it had sent a stop to one device of a robot, but not to another. This was before an act that was
+    /// not committed. The robot accepts no inquiries, so no inquiry could shorten the lease of the other device in advance. The first
+    /// stop renewed that lease.
     pub(super) fn was_stopped_in_part(&self, act: &SentAct<'_>, robot: usize) -> bool {
         let cancel = |message: &Message| match message {
             Message::ControlRequest(request) => {
@@ -452,8 +457,8 @@ impl<'a> Facts<'a> {
         act.committed.is_none() && !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
-    /// Arrival times of the scheduler's messages at a robot that renew its leases. A request for the robot's description does not renew
-    /// them, because any server may send one.
+    /// Returns the arrival times of the scheduler's messages that renew the leases of a robot. A request for the robot's description does
+    /// not renew leases, because any server may send it.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
             Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
@@ -463,8 +468,8 @@ impl<'a> Facts<'a> {
     }
 }
 
-/// Determines how far the scheduler's clock was ahead of the true time. A process starts with the clock of its machine and keeps its own
-/// clock afterwards.
+/// Determines by how much the scheduler's clock was ahead of the true time. Each process adopts the clock of its machine at its start,
+/// and keeps its own clock afterwards.
 fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
     let mut of_machine = Span::ZERO;
     let mut ahead = Vec::new();
@@ -508,7 +513,7 @@ impl<'a> SentAct<'a> {
         self.of(robot).map(|script| self.start_of(script) + script.starts_after).min()
     }
 
-    /// The previous script of the act on the same device.
+    /// Returns the previous script of the act for the same device, if any.
     pub(super) fn before(&self, script: &SentScript<'_>) -> Option<&SentScript<'a>> {
         let ahead = |other: &&SentScript<'_>| {
             other.promised.device == script.promised.device
@@ -524,35 +529,36 @@ impl<'a> SentAct<'a> {
         self.of(robot).all(|script| script.steps_set() == script.steps_written())
     }
 
-    /// Time from the start of the act to the start of its last script.
+    /// Returns the time from the start of the act to the start of its last script.
     pub(super) fn starts_within(&self) -> Span {
         self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()
     }
 
-    /// The planned start of a script, in true time.
+    /// Returns the planned start of a script, in true time.
     pub(super) fn start_of(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.promise.start + script.promised.start.span()
     }
 
-    /// The planned start of a script by the clock of the process that promised it. Robots and reports use this time.
+    /// Returns the planned start of a script by the clock of the process that promised it. Messages to robots and reports contain this
+    /// time.
     pub(super) fn start_as_told(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.start_of(script) + self.ahead
     }
 
-    /// The instant after which silence of a robot may be noticed too late, as reported at the decision. Without a decision, it is one
-    /// pending lease before the start.
+    /// Returns the instant from which a robot's silence may be noticed too late, as reported at the decision. Without a decision, returns
+    /// the instant one pending lease before the start.
     pub(super) fn doubtful_from(&self) -> Timestamp<Server> {
         self.promise.start - self.decided.map_or(self.promise.lease, |decided| decided.doubt)
     }
 }
 
 impl<'a> SentScript<'a> {
-    /// The log entries of the script's steps that the robot set, in order.
+    /// Returns the log entries for the steps of the script that the robot performed, in order.
     pub(super) fn steps(&self) -> impl Iterator<Item = &'a LogEntry> + '_ {
         self.log.iter().copied().filter(|entry| entry.is_set() && entry.step.is_some())
     }
 
-    /// Number of distinct steps of the script that the robot set.
+    /// Returns the number of distinct steps of the script that the robot performed.
     pub(super) fn steps_set(&self) -> usize {
         let mut steps: Vec<_> = self.steps().filter_map(|entry| entry.step).collect();
         steps.sort_unstable();

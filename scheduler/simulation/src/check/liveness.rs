@@ -1,5 +1,5 @@
 //! Checks invariant (h): nothing waits forever. Silence is reported within a bound. A stop reaches every reachable robot and ends within
-//! the operator's patience. After a fault, acts follow each other nearly as soon as without it.
+//! the operator's timeout. After a fault, acts follow each other nearly as soon as without the fault.
 
 use std::iter;
 
@@ -13,24 +13,25 @@ use crate::world::PATIENCE;
 use crate::{Fault, Happened};
 use downbeat_mission::{Progress, Record};
 
-/// Maximum silence of a robot whose scripts have no running lease.
+/// Maximum time without a message from a robot whose scripts have no running lease.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// Time within which the scheduler reacts to received events.
 const AT_ONCE: Span = Span::from_millis(2);
-/// Maximum ratio of a lead or a gap to the corresponding one in the same mission without faults. `MORE` is permitted in addition.
+/// Maximum ratio of a lead or a gap to that in the same mission without faults. The lead extends from sending an act to its start, and
+/// the gap from the end of the previous act. In addition, `MORE` is permitted.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
-/// Additional lead of an act whose start time is known: the act is sent up to 2 s earlier, with a lease that is longer by up to 2 s.
+/// Additional lead of an act whose start time is known. Such an act is sent up to 2 s earlier, and its lease is up to 2 s longer.
 const AHEAD: Span = Span::from_millis(2_000 + 2_000);
-/// The minimum lead: one margin, the minimum pending lease and another margin.
+/// The minimum lead (time from sending an act to its start): one margin, the minimum pending lease and another margin.
 pub(crate) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
-/// The number of round trips in a lead, based on the round trip that the links nearly always achieve: three for the answers, six for the
-/// lease, and one and a half for the margin. `ROUND_TRIP_MAX` limits that round trip.
+/// The number of round trips in a lead: three for the answers, six for the lease, and one and a half for the margin. They are based on
+/// the round trip that the links nearly always achieve. `ROUND_TRIP_MAX` limits that round trip.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 const HELD_UP_LEAST: Span = Span::from_millis(40);
-/// Maximum delay of a report, in addition to two round trips. The scheduler requests a missing report after this time, and stops waiting
-/// after the same time again.
+/// Maximum delay of a report, in addition to two round trips. If a report is missing after this time, the scheduler requests it. After
+/// the same time again, it stops waiting.
 const REPORT_GRACE: Span = Span::from_millis(500);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -47,8 +48,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// The instant, after an act was sent, from which nothing more is expected of a robot. It has finished the act or failed, all robots are
-/// being stopped, or the mission has ended.
+/// Returns the first instant, after an act was sent, from which nothing more is expected of a robot. The robot has finished the act or
+/// failed, all robots are being stopped, or the mission has ended.
 fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
     let words =
@@ -69,8 +70,8 @@ fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Serv
     words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
 }
 
-/// The longest round trip of a robot until an instant, including delays by faults. Messages still in transit do not count, because a
-/// message that arrives at the end of a partition took as long as the silence that it ends.
+/// Returns the longest round trip of a robot until an instant, including delays by faults. Messages in transit at that instant do not
+/// count. A message that arrives at the end of a partition, for example, took as long as the silence that it ends.
 fn round_trip(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     usual_round_trip(facts, robot) + slow_until(facts, robot, until)
 }
@@ -88,7 +89,8 @@ fn slow_until(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span
     slow.map(|hit| hit.until - hit.from).max().unwrap_or_default()
 }
 
-/// The longest queuing delay of a message on a robot's link, if its bandwidth is low. A measured round trip is queued in both directions.
+/// Returns the longest time that a message waited in the queue of a robot's link, if the link has a low bandwidth. In a measured round
+/// trip, both messages may wait for this long.
 fn waited(facts: &Facts<'_>, robot: usize) -> Span {
     let waited = facts.ran.history.iter().filter_map(|(_, happened)| match happened {
         Happened::Queued(r, waited) if *r == robot => Some(*waited),
@@ -133,8 +135,8 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     }
 }
 
-/// The longest running lease of a robot's scripts. If none of the scripts plays, waiting scripts are lost only when their pending lease
-/// has expired as well.
+/// Returns how long a robot may be silent at an instant: the longest running lease of its scripts. If none of its scripts plays, they are
+/// lost only when their pending lease has expired as well, so the longer of the two applies.
 fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let running = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
     let running = running.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
@@ -145,12 +147,12 @@ fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     if act.of(robot).any(plays) { running } else { running.max(act.promise.lease) }
 }
 
-/// Whether the scheduler was not running or stalled at any time between two instants.
+/// Whether the scheduler had ended or stalled at any time between two instants.
 fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
     facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
 }
 
-/// Checks that a stop ends, confirmed or not, within the operator's patience. A later stop that brings robots to rest in a different way
+/// Checks that a stop ends, confirmed or not, within the operator's timeout. A later stop that brings robots to rest in a different way
 /// has its own deadline. A repetition of the same stop does not extend the deadline.
 fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (stopping, record) in &facts.ran.records {
@@ -213,7 +215,7 @@ fn was_sent(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, before: Timestam
     })
 }
 
-/// The queuing delay of a stop on a link that has a low bandwidth even without faults.
+/// Returns how long a stop waited in the queue of a robot's link. It waits only if the link has a low bandwidth even without faults.
 fn queued(facts: &Facts<'_>, robot: usize, stopping: Timestamp<Server>) -> Span {
     let of_stops =
         facts.between(stopping, stopping + AT_ONCE).iter().filter_map(|(_, happened)| match happened {
@@ -223,7 +225,7 @@ fn queued(facts: &Facts<'_>, robot: usize, stopping: Timestamp<Server>) -> Span 
     of_stops.max().unwrap_or_default()
 }
 
-/// Whether an earlier stop has confirmed that no part of an act moves the robot any longer.
+/// Whether the robot has confirmed an earlier stop, so that no part of an act moves it any longer.
 fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestamp<Server>) -> bool {
     let name = facts.name(robot);
     facts.between(act.at, by).iter().any(|(_, happened)| match happened {
@@ -232,7 +234,7 @@ fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestam
     })
 }
 
-/// Whether an act has not ended at an instant, so that its robots may still hold scripts of it.
+/// Whether an act has not ended by an instant, so that its robots may still have scripts of it.
 fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool {
     let ended = facts.ran.records.iter().any(|(when, record)| match record {
         Record::ActEnded { report, .. } => *when < at && report.number == act.promise.number,
@@ -241,7 +243,7 @@ fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool 
     act.at <= at && !ended
 }
 
-/// Checks that a stop by the operator stops all robots at once, unless nothing was under way.
+/// Checks that a stop by the operator stops all robots at once, unless the mission was already over.
 fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         if !matches!(happened, Happened::Fault(Fault::Stop | Fault::Home | Fault::StopByJournal)) {
@@ -258,7 +260,8 @@ fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Compares the leads and gaps of a mission with those of the same mission without faults, for acts that the same robots play in both.
+/// Compares leads and gaps with those in the same mission without faults. The lead extends from sending an act to its start, and the gap
+/// from the end of the previous act. Compares only acts that the same robots play in both missions.
 pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act)) {
         let same = |other: &&SentAct<'_>| {
@@ -303,8 +306,8 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
     }
 }
 
-/// The number of the last act whose lead, or the gap before it, exceeds the minimum permitted value. For later acts, [`compare`] cannot
-/// find anything.
+/// Returns the number of the last act whose lead, or the gap before it, may be too long: it exceeds the smallest limit that is possible.
+/// For later acts, [`compare`] cannot find a violation.
 pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     let compared = facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act));
     let long = compared.filter(|act| {
@@ -318,17 +321,19 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     long.map(|act| act.promise.number).max()
 }
 
-/// How much a lead may exceed the permitted multiple of a lead without faults. Includes twice the recent write time of the disk, for the
-/// promise and for the commitment, and delays of links that were slow before. Includes no other fault. An act that starts at its own time
-/// may be sent earlier after a fault, if the previous acts do not play, but not later.
+/// Returns how much a lead may exceed the permitted multiple of the lead without faults. Includes recent stalls of the disk, which delay
+/// the promise and the commitment, earlier delays of links, and changes of clocks. Other faults do not count.
+///
+/// After a fault, an act that starts at a fixed time may be sent earlier if the previous acts do not play, but not later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = (slow_again(facts, act) + held_up(facts, act)).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
     let ahead = if starts_at_its_time(act) { AHEAD } else { Span::ZERO };
     MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow + ahead
 }
 
-/// The addition to the longest round trip after acts were withdrawn, because the scheduler's machine was too slow, and prepared again. It
-/// is twice the delay, at least `HELD_UP_LEAST`, and at least twice the previous addition.
+/// Returns the time that the scheduler adds to the longest round trip if its machine was too slow. In that case, acts were withdrawn and
+/// prepared again. It is twice the longest delay of the machine, but at least `HELD_UP_LEAST`. Each further withdrawn act at least
+/// doubles it.
 fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let withdrawn = facts.acts.iter().filter(|before| before.repeated && before.at < act.at).count();
     let of_this_machine = |hit: &&Hit| hit.robot.is_none() && hit.from <= act.at;
@@ -337,25 +342,26 @@ fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     (0..withdrawn).fold(Span::ZERO, |addition, _| first.max(addition * 2))
 }
 
-/// Whether an act waits for a time of day. Its start is judged only by that time: after a delay, it may be on the next day.
+/// Whether an act waits for a time of day. Such an act is not compared: after a delay, it may start on the next day.
 const fn waits_for_a_time_of_day(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::TimeOfDay(_))
 }
 
-/// Whether an act waits for an instant and is sent in time for it.
+/// Whether an act waits for a fixed instant and starts no later than that.
 fn starts_at_its_time(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::Instant(at) if act.promise.start + act.ahead <= at)
 }
 
-/// How much a gap may exceed the permitted multiple of a gap without faults, in addition to the excess of the lead. If a clock was set
-/// back, the act is sent later by that amount.
+/// Returns how much a gap may exceed the permitted multiple of the gap without faults. The excess of the lead is permitted in addition.
+/// If a clock was set back, the act is sent later by that amount.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
     let lasted = lasted + report_awaited(facts, before, act);
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// How long an act waits for a report on the previous act that may be lost, alone or with its connection.
+/// Returns how long an act may wait for a report on the previous act. The report may have been lost, alone or together with its
+/// connection.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lost = |hit: &&Hit| {
         let may_lose = matches!(hit.cause, Cause::Lost | Cause::LinkDown);
@@ -376,8 +382,8 @@ fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bo
     facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
 }
 
-/// Whether an act whose time had passed was sent only after the end of the preceding act. That happens if a link of one of the act's
-/// robots had been slow, so that a script following the preceding act on its device might have arrived late.
+/// Whether an act was sent only after the previous act had ended, although the time that it waits for had passed. This happens if a link
+/// of one of its robots had been slow. A script that was sent during the previous act might then have arrived too late.
 fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     let has_passed = matches!(act.written.wait, Wait::Instant(at) if at < act.promise.start + act.ahead);
     let slow = |hit: &Hit| {
@@ -392,8 +398,8 @@ fn before<'f, 'a>(facts: &'f Facts<'a>, act: &SentAct<'_>) -> Option<&'f SentAct
     facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)
 }
 
-/// The amount by which the clocks of an act's robots, until `by`, and the clock of the process that sent the act were set. If a robot
-/// starts early by its clock, this affects the lead twice: within the last lease, and after it. If a robot ends late by its clock, this
+/// Returns the total amount by which clocks were set: those of the act's robots until `by`, and that of the process that sent the act. A
+/// robot that starts early by its clock affects the lead twice: within the last lease, and after it. A robot that ends late by its clock
 /// affects the gap after the act.
 fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Span {
     let robots = act.robots();
@@ -404,8 +410,8 @@ fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Sp
     of_robots + act.ahead.abs()
 }
 
-/// Delay in the second slow period of a link of the act's robots, before the act was sent. A single slow period leaves the lead
-/// unchanged; the mission considers two typical of the link.
+/// Returns the delay by the second slow period of a link of the act's robots, before the act was sent. A single slow period leaves the
+/// lead unchanged. After two, the mission considers such delays typical of the link.
 fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let of_robot = |robot: usize| {
         let slow = |hit: &&Hit| {
@@ -438,7 +444,7 @@ fn lead(act: &SentAct<'_>) -> Span {
     act.promise.start - act.promise.timestamp
 }
 
-/// The lead that the scenario specifies, which applies if no previous act still plays.
+/// Returns the lead that the scenario specifies, if any. It applies if no previous act still plays.
 const fn asked_for(act: &SentAct<'_>) -> Option<Span> {
     act.written.plan.lead
 }
@@ -455,7 +461,8 @@ fn gap(before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     act.promise.start - (before.promise.start + before.written.plan.duration())
 }
 
-/// Total duration of faults of the scheduler or a robot since the previous act was sent. The later act waits until these faults end.
+/// Returns the total duration of faults of the scheduler or of robots from the sending of the previous act to the start of `act`. The
+/// later act waits until such faults end.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);

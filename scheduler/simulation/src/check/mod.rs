@@ -1,5 +1,5 @@
-//! Checks the invariants against the values that the robots really set. Each invariant has its own file; `docs/simulation.md` describes
-//! them.
+//! Checks the invariants against the values that the robots really set on their devices. Each invariant has its own file;
+//! `docs/simulation.md` describes them.
 
 mod all_or_none;
 mod cause;
@@ -29,7 +29,7 @@ pub(super) use self::liveness::LEAD_LEAST;
 pub use self::situation::Situation;
 use super::Ran;
 
-/// Maximum error of a lease or a start within a mission due to the drift of a clock.
+/// Maximum error, due to the drift of a clock, of the end of a lease or of a start within a mission.
 const DRIFT: Span = Span::from_millis(1);
 
 /// A violation of an invariant.
@@ -58,14 +58,14 @@ pub enum Starts {
     Mixed,
 }
 
-/// The starts of an act that was sent, or of the first act of a mission that sent none.
+/// The starts of an act that was sent. If a mission sent no act, those of its first act.
 #[derive(Clone, Debug)]
 pub struct ActStarts {
     /// The number of the act in the mission.
     pub number: u32,
-    /// The planned start of the first cue of the act.
+    /// The planned start of the act.
     pub start: Timestamp<Server>,
-    /// The indices of the honest robots that took part in the act at its start.
+    /// The indices of the robots that took part in the act at its start and do not lie.
     pub robots: Vec<usize>,
     /// Whether all, none or some of these robots started.
     pub starts: Starts,
@@ -85,10 +85,10 @@ pub struct Excuse {
 pub struct Verdict {
     /// The violations without an excuse.
     pub violations: Vec<Violation>,
-    /// The excused violations: one for each act with mixed starts, and one for each robot that has an excuse for violating another
-    /// invariant.
+    /// The excused violations: one for each act that only some robots started, and one for each robot that has an excuse for violating
+    /// another invariant.
     pub excuses: Vec<Excuse>,
-    /// The starts of each act that was sent, or of the first act if none was sent.
+    /// The starts of each act that was sent. If no act was sent, those of the first act.
     pub acts: Vec<ActStarts>,
     /// The situations that the mission reached, each listed as often as it occurred.
     pub situations: Vec<Situation>,
@@ -119,7 +119,7 @@ impl Verdict {
 }
 
 impl Ran {
-    /// Checks all invariants that one run can violate by itself.
+    /// Checks all invariants whose violation can be found in a single run, without a comparison.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         if let Some(broken) = &self.broken {
@@ -143,14 +143,14 @@ impl Ran {
         verdict
     }
 
-    /// The number of the last act for which a comparison with the same mission without faults could find a violation; `None` if there is
-    /// none.
+    /// Returns the number of the last act for which a comparison with the same mission without faults could find a violation. `None` if
+    /// there is no such act.
     #[must_use]
     pub fn last_to_compare(&self) -> Option<u32> {
         liveness::last_to_compare(&Facts::of(self))
     }
 
-    /// Compares a mission with faults with `undisturbed`, the same mission without faults.
+    /// Compares this mission, which has faults, with `undisturbed`, the same mission without faults.
     #[must_use]
     pub fn compared_with(&self, undisturbed: &Self) -> Verdict {
         let mut verdict = Verdict::default();

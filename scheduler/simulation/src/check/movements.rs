@@ -1,5 +1,5 @@
-//! Checks invariant (m): every movement has one reason. The reason is an unaltered step of a script, coming to rest from such a step, or
-//! a stop with `home`.
+//! Checks invariant (m): every movement has a reason. The reason is an unaltered step of a script, coming to rest after such a step, or a
+//! stop with `home`, which requests the default state.
 
 use std::collections::{HashMap, HashSet};
 
@@ -20,7 +20,8 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// Whether the mission must recognize a jump: the robot states its positions, or a sensor shows the position with sufficient accuracy.
+/// Whether the mission must recognize that a device jumps. This is so if the robot states its positions, or if a sensor shows the
+/// position with sufficient accuracy.
 fn has_to_be_seen(drawn: &DrawnRobot, jump: &JumpAfterStop<'_>) -> bool {
     if states_positions(drawn) {
         return true;
@@ -33,8 +34,8 @@ fn has_to_be_seen(drawn: &DrawnRobot, jump: &JumpAfterStop<'_>) -> bool {
     within.is_some_and(|within| (jump.entry.value - jump.stop.value).abs() > within)
 }
 
-/// Whether a device that has not moved yet jumps if `first` is its first value. `false` for devices that do not move
-/// linearly, that are behind an edge, or whose position the robot does not state.
+/// Whether a device that has not moved yet would jump to its first value, `first`. `false` if the device does not move linearly, belongs
+/// to separate hardware behind an edge, or has no position that the robot states.
 pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, first: f64) -> bool {
     let is_linear =
         |device: &Device| device.interpolation == Interpolation::Linear && device.default_value.is_some();
@@ -42,7 +43,7 @@ pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, fi
     is_known && (first - BEGINS_AT).abs() > JUMP
 }
 
-/// Checks that no device of a robot that states its positions jumps with its first movement, in any act.
+/// Checks that the first movement of a device, in any act, is not a jump. Checks only robots that state their positions.
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let drawn = &facts.drawn().robots[robot];
@@ -97,8 +98,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The limits and the braking of a device that comes to rest. `None` if the device's hardware has just returned. The hardware may have
-/// missed the last values, so the speeds are set to zero again.
+/// Returns the limits and the braking of a device that comes to rest. `None` if the device's hardware has just returned: it may have
+/// missed the last values, so its speeds are set to zero again.
 fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Resting<'a>> {
     let is_back = |(at, fault): &(Span, Fault)| match fault {
         Fault::HardwareDies { robot: of, back_after: Some(after), .. } => {
@@ -112,7 +113,7 @@ fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Rest
     (!drawn.faults.iter().any(is_back)).then_some(Resting { device, braking })
 }
 
-/// Whether the device was already at home. A stop left the device at its default position, and the mission sent all robots home before it
+/// Whether the device was at its default position before it jumped. A stop left it there, and the mission sent all robots home before it
 /// promised the act in which the device jumps.
 fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> bool {
     let device = facts.drawn().robots[robot].block.device(jump.stop.device.as_str());
@@ -133,8 +134,9 @@ fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
     first.is_some_and(|act| were_sent_home(facts, robot, act.at, entry))
 }
 
-/// Whether the mission sent all robots home between `since` and the promise of the act of `entry`. Such an act begins as the scenario
-/// specifies, just as if the device had moved home. An approach would have moved the device to the first position of the act.
+/// Whether the mission sent all robots home between `since` and the promise of the act of `entry`, without an approach afterwards. The
+/// act then begins as the scenario specifies, just as if the device had moved home. An approach would have moved the device to the first
+/// position of the act.
 fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, entry: &LogEntry) -> bool {
     let id = entry.request_id.as_deref();
     let is_it = |script: &SentScript<'_>| id == Some(script.promised.request_id.as_str());
@@ -150,7 +152,7 @@ fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, ent
     home == Some(true)
 }
 
-/// The log of a robot, divided by process. A new process does not know the movements of the previous one.
+/// Divides the log of a robot by process. A new process does not know the movements of the previous one.
 fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
     let mut rest = facts.ran.logs[robot].as_slice();
     let mut processes = Vec::new();
@@ -163,7 +165,7 @@ fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
     processes
 }
 
-/// Whether a failure policy of the mission, or the operator, may send robots to their default state.
+/// Whether robots may be sent to their default state, by a failure policy of the mission or by the operator.
 fn may_go_home(facts: &Facts<'_>) -> bool {
     let drawn = facts.drawn();
     let mut acts = drawn.choreography.acts.iter();
@@ -171,7 +173,7 @@ fn may_go_home(facts: &Facts<'_>) -> bool {
         || drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Home))
 }
 
-/// The devices that received a stop with `home`, and the times of these stops.
+/// Returns the devices that received a stop with `home`, and the times of these stops in nanoseconds.
 fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
     let home = |(at, happened): &'a (Timestamp<Server>, Happened)| match happened {
         Happened::AtRobot(to, Message::ControlRequest(request)) if *to == robot && request.home => {

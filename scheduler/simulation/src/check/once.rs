@@ -1,4 +1,4 @@
-//! Checks invariant (b): nothing starts late, and nothing happens twice. An act is prepared again only if none of its robots has begun
+//! Checks invariant (b): nothing starts late, and nothing happens twice. An act is prepared again only if none of its robots has started
 //! it.
 
 use std::collections::HashSet;
@@ -8,7 +8,7 @@ use urrcp::Span;
 use super::Verdict;
 use super::facts::Facts;
 
-/// Maximum delay with which a robot still starts a command.
+/// Maximum delay after which a robot still starts a command.
 const START_LATE_MAX: Span = Span::from_millis(51);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {

@@ -1,8 +1,10 @@
-//! Compares the scheduler's promises during a mission with the messages that reached the robots. (a) Nothing starts that was not
-//! committed, and nothing is committed after its planned start. (c) Only a stop cancels, and only the end of a lease ends a playing
-//! script. (d) Only the intended robots move. (f) Nothing is sent whose skew budget exceeds the tolerance. (g) A decided act was
-//! accepted, a script that is reported as begun had working hardware, and data on the disk is read again. (h) A robot that is reachable
-//! again receives messages at once.
+//! Compares what the scheduler promised during a mission with the messages that reached the robots.
+//!
+//! (a) Nothing starts that was not committed, and nothing is committed after its planned start. (c) Only a stop cancels, and only the end
+//! of a lease ends a playing script. (d) Only the intended robots move. (f) Nothing is sent whose skew budget exceeds the tolerance.
+//!
+//! (g) Robots had accepted an act that was decided. Hardware worked when a script is reported as begun. Data that is on the disk is read
+//! again. (h) A robot that is reachable again receives messages at once.
 
 use urrcp::{Command, Message, RequestId, Server, Span, Timestamp};
 
@@ -14,12 +16,12 @@ use crate::world::PATIENCE;
 use downbeat_mission::{FailureKind, Progress, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// Time within which the scheduler or a robot reacts if it waits for nothing.
+/// Time within which the scheduler or a robot reacts if there is nothing to wait for.
 const AT_ONCE: Span = Span::from_millis(2);
-/// Allowance for the error of the clocks and the travel time of an unmeasured inquiry. A process that resumes a mission keeps silent this
-/// long before a lease.
+/// Additional time before the last lease for which a process that resumes a mission sends nothing. It covers the error of the clocks and
+/// the travel time of an inquiry that was not measured.
 const HUSHED_AHEAD: Span = Span::from_millis(30);
-/// Maximum delay with which a robot still performs a start.
+/// Maximum delay after which a robot still starts a script.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -36,8 +38,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     commitments_are_in_time(facts, verdict);
 }
 
-/// Checks that the commitment is not recorded after the planned start of the act, by the clock of the process that records it. Otherwise
-/// another process would consider robots as started that had lost their scripts.
+/// Checks that the commitment is recorded no later than the planned start of the act, by the clock of the process that records it.
+/// Otherwise, a process that resumes the mission would assume that robots have started, although they had lost their scripts.
 fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in &facts.acts {
         let start = act.promise.start + act.ahead;
@@ -49,7 +51,7 @@ fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
 }
 
 /// Checks that no robot starts an act without a recorded commitment. Exceptions are robots that earlier messages reached too late, and
-/// robots whose stop was cut off.
+/// robots whose scheduler died before it had sent all their stops.
 fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
         for script in act.scripts.iter().filter(|script| script.began() && facts.honest(script.robot)) {
@@ -68,7 +70,8 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that the mission waits for a robot that refuses connections during the greeting, because the robot may still be starting.
+/// Checks that, during the greeting (the first exchange with each robot), the mission waits for a robot that refuses connections. The
+/// robot may still be starting.
 fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
     /// Minimum time for which the mission waits for such a robot.
     const STARTS_WITHIN: Span = Span::from_millis(500);
@@ -99,7 +102,7 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that an empty script reaches a robot only after the robot was left out or while all robots are being stopped.
+/// Checks that an empty script, which cancels, reaches a robot only after the robot was left out or while all robots are being stopped.
 fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::AtRobot(robot, Message::ControlRequest(request)) = happened else { continue };
@@ -115,7 +118,7 @@ fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that a robot reports silence of the server beyond its lease only if no message reached the robot for that time.
+/// Checks that a robot reports the loss of its link only if it received no message for longer than its lease.
 fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::Told(progress) = happened else { continue };
@@ -143,8 +146,8 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// For a robot that has begun all its scripts: since when it plays, and the shortest lease under which it plays. `None` if the robot may
-/// have lost a script that had not begun.
+/// Returns since when a robot plays, and the shortest lease under which it plays. `None` unless the robot has begun all its scripts: a
+/// script that had not begun may have been lost.
 fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option<(Timestamp<Server>, Span)> {
     let mut acts = facts.acts.iter().filter(|act| act.at <= at && act.of(robot).next().is_some());
     let act = acts.next_back()?;
@@ -165,7 +168,7 @@ fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option
     (begun < at).then_some((begun, leases?.into_iter().min()?))
 }
 
-/// Checks that another robot at the address of the intended one receives nothing that moves it.
+/// Checks that another robot that answers at the address of the intended one receives no command that moves it.
 fn strangers_rest(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (robot, log) in facts.ran.logs_of_strangers.iter().enumerate() {
         if let Some(entry) = log.iter().find(|entry| entry.request_id.is_some()) {
@@ -186,7 +189,7 @@ fn budgets_fit(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that when an act is decided, the first script of each device has reached its robot.
+/// Checks that the first script of each device has reached its robot by the time its act is decided.
 fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, record) in &facts.ran.records {
         let Record::Decided { number, .. } = record else { continue };
@@ -214,7 +217,7 @@ fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Checks that no script begins while the edge could know that the hardware is dead, provided that there was time for an inquiry.
+/// Checks that no script begins after an edge could have noticed that its hardware is dead, provided that there was time for an inquiry.
 fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
     /// A script that arrives within this time before its start begins without an inquiry.
     const NOTICE: Span = Span::from_millis(250);
@@ -254,10 +257,12 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Whether the scheduler has to be silent before the commitment of an act. From the critical instant it sends nothing until the
-/// commitment, because an inquiry would extend the leases of scripts beyond the start. The critical instant lies within the reported
-/// doubt. A process that resumes an act assumes the lease with which the act was sent, so it is silent from one lease before the start.
-/// That lease also covers clock errors and travel times.
+/// Whether the scheduler has to send nothing to the robots of an act until the commitment. This silence begins at the critical instant,
+/// because a later inquiry would extend the leases of scripts beyond the start. The critical instant is no earlier than the reported
+/// doubt before the start.
+///
+/// A process that resumes an act assumes the lease with which the act was sent. So it is silent from one lease before the start, and a
+/// little earlier to cover clock errors and travel times.
 fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
     let history = facts.between(act.at, at);
     let taken_up = history.iter().rfind(|(_, what)| matches!(what, Happened::TakenUp(_)));
@@ -274,8 +279,7 @@ fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Ti
     }
 }
 
-/// Checks that a reconnected robot with pending scripts receives further messages as soon as it has answered the request for its
-/// description.
+/// Checks that a robot with scripts, after it has reconnected and described itself, receives further messages at once.
 fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
     let drawn = facts.drawn();
     for (at, happened) in &facts.ran.history {

@@ -44,8 +44,8 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The intervals in which a speed or an acceleration of a device was not zero. Each is given as the log entry that started it and the end
-/// of the interval. A stop ends an interval as soon as it slows the device down.
+/// Returns the intervals in which a speed or an acceleration of a device was not zero. Each consists of the log entry that started it and
+/// the end of the interval. A stop ends an interval as soon as the device begins to slow down.
 fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<Server>)> {
     let log = &facts.ran.logs[robot];
     let rate = |entry: &&LogEntry| !is_of(entry, ControlType::Position);
@@ -59,7 +59,7 @@ fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<
     intervals
 }
 
-/// Finds a device that continues to move at a speed although the robot has received nothing for longer than the lease of that movement.
+/// Finds a device that continues to move at a speed, although the robot has received nothing for longer than the lease of that movement.
 fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     let scripts = || facts.acts.iter().flat_map(|act| act.of(robot));
     let heard: Vec<Timestamp<Server>> = facts.heard(robot).collect();
@@ -91,8 +91,8 @@ fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     None
 }
 
-/// Finds a movement before which the robot had received nothing for longer than the current lease. A script starts only if neither of its
-/// leases has expired: neither the pending lease, under which it waits, nor the running lease, under which it plays.
+/// Finds a movement that began although the robot had received nothing for longer than the current lease. A script starts only if neither
+/// of its leases has expired: the pending lease, under which it waits, and the running lease, under which it plays.
 fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     if facts.clock_was_set(robot) {
         return None;

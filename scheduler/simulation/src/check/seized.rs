@@ -1,5 +1,5 @@
-//! Checks invariants (c) and (g) for seized robots. (c) A seized robot performs no further action of its previous mission. (g) The report
-//! names the operator that seized the robot.
+//! Checks invariants (c) and (g) for robots that another operator seized. (c) A seized robot performs no further action of its previous
+//! mission. (g) The report names the operator that seized the robot.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Span, Timestamp};
@@ -44,7 +44,7 @@ fn plays_on(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize, verdict: &mu
     }
 }
 
-/// Whether a script of the robot had begun at the time `at` and never ended.
+/// Whether a script of the robot had begun by the time `at` and was never completed.
 fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let scripts = facts.acts.iter().flat_map(|act| act.of(robot));
     let began =
@@ -52,8 +52,8 @@ fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool
     scripts.into_iter().any(|script| began(script) && script.steps_set() < script.steps_written())
 }
 
-/// Whether the mission has to learn that a playing robot was seized: the robot can report it, and no other fault prevents the mission
-/// from receiving the report.
+/// Whether the mission has to learn that a playing robot was seized. This requires that the robot can report the seizure, and that no
+/// other fault prevents the mission from receiving the report.
 fn has_to_be_known(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let drawn = &facts.drawn().robots[robot];
     let tells = drawn.names == Names::Echoed && drawn.block.reports;

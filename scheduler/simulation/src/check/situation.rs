@@ -29,21 +29,21 @@ pub enum Situation {
     StoppedAgain,
     /// A device continues to move at a speed after the end of its script.
     TurnsAfterScript,
-    /// The lease of a device that continues to move after its script ends.
+    /// The lease of a device expires while the device continues to move after the end of its script.
     LeaseEndsTurning,
     /// An act starts at the time of day that it waits for.
     AtItsTime,
-    /// An act waits for a time of day that the clocks show twice, and starts.
+    /// An act waits for a time of day that occurs twice because the clocks are set back, and it starts.
     AtTimeShownTwice,
-    /// An act starts at the instant at which the clocks skip the time of day that it waits for.
+    /// An act starts at the instant at which the clocks are set forward and skip the time of day that it waits for.
     AtSkippedTime,
     /// An act waits for a time on another day.
     WaitsForAnotherDay,
-    /// The clock of a robot drifts by more than the tolerance while it plays.
+    /// The clock of a robot drifts by more than the start tolerance while the robot plays.
     DriftsApart,
-    /// A sensor shows that a device that has moved before would jump, so the act does not start.
+    /// An act does not start, because a sensor shows that a device that has moved before would jump.
     RefusedBySensor,
-    /// A robot plays although its responses omit request ids, because sensors show the positions of its devices.
+    /// A robot whose responses omit request ids plays, because sensors show the positions of its devices.
     ReadWithoutNames,
     /// A stop reaches a process that answers in place of a robot, and the robot moves afterwards.
     MovesBehindTwin,
@@ -92,7 +92,7 @@ impl fmt::Display for Situation {
     }
 }
 
-/// Collects the situations that a mission reached, each as often as it occurred.
+/// Returns the situations that a mission reached. Each is listed as often as it occurred.
 pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     let mut met = Vec::new();
     for robot in 0..facts.drawn().robots.len() {
@@ -134,7 +134,7 @@ pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     met
 }
 
-/// The robots that move after a stop has reached their twins, which still answer in their place.
+/// Returns the robots that move after a stop has reached their twins (processes that still answer in their place).
 fn twins_stopped<'a>(facts: &'a Facts<'_>) -> impl Iterator<Item = usize> + 'a {
     let robots = (0..facts.drawn().robots.len()).filter(|robot| facts.has_twin(*robot));
     robots.filter(|robot| {
@@ -159,8 +159,8 @@ fn twins_stopped<'a>(facts: &'a Facts<'_>) -> impl Iterator<Item = usize> + 'a {
     })
 }
 
-/// How far the last step of a robot in an act deviated from the plan, in true time. `None` if the robot did not finish the act, lies or
-/// follows NTP, or if its clock was set.
+/// Returns how far the last step of a robot in an act deviated from the plan, in true time. `None` if the robot did not finish the act,
+/// lies or follows NTP, or if its clock was set.
 pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Span> {
     let measured = facts.drawn().robots[robot].clock == ClockMode::Measured;
     if !measured || !facts.honest(robot) || facts.clock_was_set(robot) || !act.is_whole_on(robot) {
@@ -174,7 +174,7 @@ pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -
     Some((Timestamp::<Server>::from_nanos(entry.true_ns) - late - planned).abs())
 }
 
-/// The situation in which an act that waits for a time of day starts; `None` for other acts.
+/// Returns which situation the start of an act is, if the act waits for a time of day; `None` for other acts.
 fn at_its_time(change: ClockChange, act: &SentAct<'_>) -> Option<Situation> {
     let Wait::TimeOfDay(time) = act.written.wait else { return None };
     let start = act.promise.start + act.ahead;

@@ -1,9 +1,11 @@
-//! Checks invariant (f): robots start at the announced times. They stay within the skew budget that was printed before anything was sent,
-//! relative to the plan and to each other.
+//! Checks invariant (f): robots start at the announced times. Relative to the plan and to each other, they stay within the skew budget
+//! that was printed before anything was sent.
 //!
 //! The check uses the true start by the clock of the simulated world, not the robot's own report. A clock that is set, or a process that
-//! stalls, excuses only its own robot. The mission must notice a clock that was set before the act became doubtful. In that case the
-//! start is still within the scenario's tolerance, or the robot does not start.
+//! stalls, excuses only its own robot.
+//!
+//! If a clock was set before the act became doubtful (too late to notice the silence of a robot), the mission must notice the change.
+//! Then the start is still within the scenario's tolerance, or the robot does not start.
 
 use urrcp::{Message, RequestId, Server, Span, Timestamp};
 
@@ -15,14 +17,14 @@ use downbeat_mission::RobotSkew;
 
 /// Maximum rounding error of times: the simulated world has a resolution of nanoseconds, and clock readings are computed by division.
 const GRAIN: Span = Span::from_micros(1);
-/// Maximum delay with which a robot still performs a start.
+/// Maximum delay after which a robot still starts a script.
 const START_LATE_MAX: Span = Span::from_millis(50);
-/// Maximum difference between an instant by a robot's own clock and the instant computed from the reported clock data.
+/// Maximum difference between an instant by a robot's own clock and the same instant as computed from the reported clock data.
 const CLOCKS: Span = Span::from_millis(1);
-/// Maximum drift, as a fraction, of a clock that was correct when the act began: the bound of the clock estimate.
+/// Maximum drift, as a fraction, of a clock since the beginning of an act. It is the bound that the mission assumes for clocks.
 const DRIFT_BOUND: f64 = downbeat_mission::clock::DRIFT_BOUND;
 
-/// The start of a robot's script, with its deviation from the plan.
+/// The actual start of a robot's script, as its deviation from the plan.
 struct Start {
     robot: usize,
     error: Span,
@@ -54,7 +56,7 @@ fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
     error >= earliest - grain && error <= latest + grain
 }
 
-/// The announced range of a robot's deviation from the plan: its lower and its upper bound.
+/// Returns the lower and the upper bound that were announced for a robot's deviation from the plan.
 fn range(told: &RobotSkew) -> (Span, Span) {
     (Span::ZERO - told.offset - told.uncertainty, told.uncertainty + told.wake_up - told.offset)
 }
@@ -70,7 +72,8 @@ fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span
     }
 }
 
-/// Checks that robots that are within their own budgets are also within the budget of the fleet relative to each other.
+/// Checks that the starts of robots differ from each other by no more than the budget of the fleet. Considers only robots that are within
+/// their own budgets.
 fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdict) {
     let least = starts.iter().min_by_key(|start| start.error);
     let Some((least, most)) = least.zip(starts.iter().max_by_key(|start| start.error)) else { return };
@@ -83,15 +86,15 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
     }
 }
 
-/// True start of a script minus its planned start; `None` if the script did not start.
+/// Returns the true start of a script minus its planned start; `None` if the script did not start.
 fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
     let first = script.log.first()?;
     let planned = act.start_of(script) + script.starts_after;
     Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
 }
 
-/// The excuse of a robot: a fault of its clock since the last measurement, or of its process at the start. An exchange does not reveal a
-/// clock change that is smaller than the duration of the exchange.
+/// Returns the excuse of a robot for a wrong start: its clock was set after the last measurement, or its process stalled at the start. A
+/// measurement does not reveal a change of the clock that is smaller than the duration of the exchange.
 fn excuse(
     facts: &Facts<'_>,
     act: &SentAct<'_>,
@@ -117,7 +120,7 @@ fn excuse(
     excuses.map(|hit| hit.cause).min()
 }
 
-/// When the request that began a script first arrived.
+/// Returns when the request with which a script began first arrived.
 fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
     let name = script.log.first().and_then(|entry| entry.request_id.as_deref());
     let named = |happened: &Happened| match happened {
@@ -130,8 +133,7 @@ fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
     first.map_or(Timestamp::from_nanos(0), |(at, _)| *at)
 }
 
-/// Additional travel time of the messages of an exchange whose question reached a robot at the instant `at`; zero if the travel time was
-/// usual.
+/// Returns the unusual delay of an exchange whose question reached a robot at the instant `at`; zero if nothing delayed its messages.
 fn held_up(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let answered = at + facts.drawn().robots[robot].slow;
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);

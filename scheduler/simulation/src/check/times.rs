@@ -53,7 +53,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The first instant not before `since` at which the clocks show or skip the time of day `time`.
+/// Returns the first instant, at or after `since`, at which the clocks show or skip the time of day `time`.
 fn next(change: ClockChange, time: Span, since: Timestamp<Server>) -> Timestamp<Server> {
     let offset = |seconds: i32| Span::from_millis(i64::from(seconds) * 1_000);
     let midnight = Timestamp::<Server>::from_nanos(since.as_nanos() / DAY.as_nanos() * DAY.as_nanos());

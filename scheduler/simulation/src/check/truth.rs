@@ -1,7 +1,7 @@
 //! Checks invariants (e) and (g). (e) Every mission ends with a report. (g) The report is true.
 //!
-//! Each number of the report is compared with the robots' own logs, per robot and script. Sums are compared with their terms, and earlier
-//! messages with the report. Times are equal within [`GRAIN`], counts exactly. Unknowable values must be reported as unknown.
+//! Compares each number of the report with the robots' own logs, per robot and script. Compares sums with their terms, and earlier
+//! messages with the report. Times are equal within [`GRAIN`], counts exactly. What cannot be known must be reported as unknown.
 
 mod acts;
 mod blame;
@@ -47,15 +47,15 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// When the reporting process resumed the mission; `None` if that process had also begun it.
+    /// When the process that wrote the report resumed the mission; `None` if the same process had begun it.
     resumed_at: Option<Timestamp<Server>>,
-    /// Whether the reporting process has only withdrawn the mission, so that it knows nothing about the earlier part.
+    /// Whether the process that wrote the report has only withdrawn the mission. It then knows nothing about the earlier part.
     is_withdrawn: bool,
 }
 
 impl Said<'_> {
-    /// Whether the robot failed because it made an impossible claim, for example because its clock was set. The mission then ignores all
-    /// its further reports.
+    /// Whether the robot's reports are ignored. This happens after a robot has made an impossible claim, for example because its clock
+    /// was set.
     fn is_discredited(&self, robot: usize) -> bool {
         let name = self.facts.name(robot);
         let claim = |happened: &Happened| match happened {

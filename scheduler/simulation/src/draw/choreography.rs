@@ -1,4 +1,4 @@
-//! Draws the choreography: acts with chains of scripts, their waits, and the consequences of failures.
+//! Draws the choreography: acts with chains of scripts, what they wait for, and the consequences of failures.
 
 use downbeat_fleet::sensor_range::SensorRange;
 use downbeat_plan::{
@@ -12,7 +12,7 @@ use super::fleet::{DrawnRobot, Show};
 use super::{millis, one_in};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The sensor reading from which a waiting act starts.
+/// The sensor reading above which an act that waits for the sensor starts.
 pub(crate) const BRIGHT: f64 = 50.0;
 
 pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show) -> Choreography {
@@ -96,7 +96,7 @@ fn draw_act(rng: &mut Rng, robots: &[DrawnRobot], plan: Plan, index: usize, coun
     act
 }
 
-/// Draws the wait of an act. A wait that may never end has a timeout.
+/// Draws what an act waits for. If that may never occur, the act has a timeout.
 fn draw_wait(rng: &mut Rng, robots: &[DrawnRobot], act: &mut Act, index: usize, count: usize) {
     let kind = rng.u8(0..if index == 0 { 40 } else { 10 });
     act.wait = match kind {
@@ -132,7 +132,7 @@ fn draw_robot_plan(
     RobotPlan { robot: robot.block.id.clone(), scripts: scripts.collect() }
 }
 
-/// Draws a chain of scripts for a device. A device that holds only one script at a time pauses before the next.
+/// Draws a chain of scripts for a device. If the device holds only one script at a time, there are longer pauses between the scripts.
 fn draw_scripts(
     rng: &mut Rng,
     device: &Device,
@@ -178,7 +178,7 @@ fn draw_scripts(
     scripts
 }
 
-/// How long the movement of a script continues after its last step. It depends on the value of that step, and is often zero.
+/// Returns how long the movement of a script continues after its last step. It depends on the value of that step, and is often zero.
 fn draw_rest(script: &Script) -> Span {
     let last = script.steps().last().map_or(0.0, |step| step.setpoint.value);
     if last % 5.0 == 0.0 { Span::from_millis_f64(last * 6.0) } else { Span::ZERO }

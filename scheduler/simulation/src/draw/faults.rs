@@ -1,4 +1,4 @@
-//! Draws the faults and their times: some at any time, some around the starts, where they matter most.
+//! Draws the faults and their times: some at any time, others shortly before or after the starts of acts, where they matter most.
 
 use fastrand::Rng;
 use urrcp::Span;
@@ -16,7 +16,7 @@ pub enum Fault {
         robot: usize,
         /// Time until the process restarts; `None`: never.
         back_after: Option<Span>,
-        /// Whether the operating system closes the connections of the process.
+        /// Whether the operating system informs the scheduler by closing the connections of the process.
         told: bool,
     },
     /// A robot's process stalls for a while.
@@ -40,13 +40,13 @@ pub enum Fault {
         /// Duration of the fault.
         lasts: Span,
     },
-    /// The hardware behind an edge dies.
+    /// The hardware behind an edge (a robot that only controls separate hardware) dies.
     HardwareDies {
         /// Index of the robot in the fleet.
         robot: usize,
         /// Time until the hardware returns; `None`: never.
         back_after: Option<Span>,
-        /// Whether the connection to the hardware ends at once; otherwise the hardware only stops answering.
+        /// Whether the edge is informed because the connection to the hardware ends. Otherwise, the hardware only stops answering.
         told: bool,
     },
     /// Another session claims a robot and sends it its own script.
@@ -89,7 +89,7 @@ pub enum Fault {
         /// Duration of the fault.
         lasts: Span,
     },
-    /// Each message to and from a robot takes longer by `by` for a while.
+    /// For a while, each message to and from a robot takes longer by `by`.
     Lag {
         /// Index of the robot in the fleet.
         robot: usize,
@@ -116,13 +116,13 @@ pub enum Fault {
     ClockStep {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// The change of the clock.
+        /// The time that is added to the clock; negative if the clock is set back.
         by: Span,
     },
     /// The clock of the scheduler's machine is set. A running process keeps its own clock; the next process starts with the machine's new
     /// clock.
     ServerClockStep {
-        /// The change of the clock.
+        /// The time that is added to the clock; negative if the clock is set back.
         by: Span,
     },
     /// The scheduler's process ends, and the mission is resumed from its journal after a while or never.
@@ -130,9 +130,9 @@ pub enum Fault {
         /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
     },
-    /// The scheduler's process ends after `actions` further actions.
+    /// The scheduler's process ends after `actions` further actions, possibly between two actions of one instant.
     SchedulerCrashAmid {
-        /// The number of further actions: messages, connections or records.
+        /// The number of actions (messages, connections or records) that the process still performs.
         actions: u32,
         /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
@@ -142,10 +142,10 @@ pub enum Fault {
         /// Duration of the fault.
         lasts: Span,
     },
-    /// The scheduler's process stalls after `actions` further actions. It performs the remaining actions of that instant when it
-    /// continues.
+    /// The scheduler's process stalls after `actions` further actions. It performs the remaining actions of that instant when the stall
+    /// ends.
     SchedulerPauseAmid {
-        /// The number of further actions: messages, connections or records.
+        /// The number of actions (messages, connections or records) that the process still performs.
         actions: u32,
         /// Duration of the fault.
         lasts: Span,
@@ -159,11 +159,12 @@ pub enum Fault {
     Stop,
     /// The operator sends all robots to their default state.
     Home,
-    /// An operator runs `downbeat stop` in another terminal. This withdraws a mission that was cut off, by its journal.
+    /// An operator runs `downbeat stop` in another terminal. If the mission's process has ended, the command withdraws the mission by its
+    /// journal.
     StopByJournal,
 }
 
-/// Earliest and latest time of a fault around a start, in milliseconds relative to the start.
+/// Earliest and latest time of a fault near the start of an act, in milliseconds relative to that start.
 const AROUND: (i64, i64) = (-450, 200);
 
 pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
@@ -185,7 +186,7 @@ pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
     faults
 }
 
-/// The approximate start of each act in a mission without faults.
+/// Returns the approximate start of each act, as in a mission without faults.
 fn expected_starts(drawn: &Drawn) -> Vec<Span> {
     let slow = drawn.robots.iter().map(|robot| robot.slow).max().unwrap_or_default();
     let round_trip = drawn.delay.1 * 2 + slow;
@@ -216,7 +217,7 @@ fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
     draw_kind(rng).draw(rng, robot)
 }
 
-/// Draws the kind of a fault in an ordinary mission, in proportion to its expected frequency.
+/// Draws a kind of fault for an ordinary mission, in proportion to its expected frequency.
 fn draw_kind(rng: &mut Rng) -> FaultKind {
     match rng.u8(0..40) {
         0..=6 => FaultKind::RobotCrash,
@@ -250,7 +251,7 @@ pub(super) fn draw_resumption(rng: &mut Rng) -> Option<Span> {
     }
 }
 
-/// Draws further faults that often follow a fault.
+/// Draws the further faults, if any, that often follow the fault `fault`.
 fn draw_consequence(rng: &mut Rng, at: Span, fault: Fault) -> Vec<(Span, Fault)> {
     match fault {
         // The robot restarts with a different clock.

@@ -1,4 +1,4 @@
-//! Draws the robots of a seed: their devices, how well they follow the protocol, and their links.
+//! Draws the robots of a seed: their devices, their deviations from the protocol, and their links.
 
 use downbeat_robot::simulated::Settings;
 use fastrand::Rng;
@@ -12,7 +12,7 @@ use downbeat_mission::ClockMode;
 pub enum Lie {
     /// The robot accepts scripts and reports starts and ends, but does not move.
     NeverMoves,
-    /// The robot reports times with the given error.
+    /// The robot reports times that are wrong by the given span.
     WrongTime(Span),
     /// The robot accepts a script and forgets it at once.
     Forgets,
@@ -22,7 +22,7 @@ pub enum Lie {
     TooManySteps,
 }
 
-/// Whether a robot's responses contain the id of the request that they belong to.
+/// Whether the responses of a robot contain the id of the request that they answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Names {
     /// The responses contain the request id.
@@ -31,12 +31,12 @@ pub enum Names {
     LeftOut,
 }
 
-/// How many connections a robot serves at the same time.
+/// Which connections a robot serves if there are several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Connections {
-    /// The robot serves only the newest connection and closes an older one.
+    /// The robot serves only the newest connection and closes the older one.
     Newest,
-    /// The robot serves only the oldest connection. It accepts another one, but does not read it until the oldest has ended.
+    /// The robot serves only the oldest connection. It accepts another one, but reads no message from it until the oldest has ended.
     One,
 }
 
@@ -45,7 +45,7 @@ pub enum Connections {
 pub enum Hands {
     /// The robot itself moves.
     Own,
-    /// The robot is an edge; hardware behind it moves, and may fail independently.
+    /// The robot is an edge: it controls separate hardware, which moves and may fail independently.
     Hardware,
 }
 
@@ -54,13 +54,13 @@ pub enum Hands {
 pub struct DrawnRobot {
     /// The robot's description.
     pub block: InitializationBlock,
-    /// The clock of the simulated robot, with its other settings.
+    /// The settings of the simulated robot, including its clock.
     pub settings: Settings,
     /// How the mission reconciles the robot's time with the server's.
     pub clock: ClockMode,
     /// How the robot lies in its reports, if it does.
     pub lie: Option<Lie>,
-    /// Processing time of every response, in addition to the network delay.
+    /// Time that the robot takes to process a request before each response, in addition to the network delay.
     pub slow: Span,
     /// Whether the robot's responses contain request ids.
     pub names: Names,
@@ -112,7 +112,7 @@ fn draw_bandwidth(rng: &mut Rng, show: Show) -> Option<u32> {
     }
 }
 
-/// Draws a clock that is right, off by some milliseconds, or not controlled by NTP.
+/// Draws the clock of a robot: it is right, wrong by some milliseconds, or not controlled by NTP.
 fn draw_settings(rng: &mut Rng, measured: bool) -> Settings {
     let (offset, drift) = match measured {
         true => (millis(rng, -2_000, 2_000), 100.0),
@@ -168,7 +168,7 @@ fn draw_block(rng: &mut Rng, index: usize, inquiry: bool, show: Show) -> Initial
     serde_json::from_str(&json).unwrap_or_else(|_| unreachable_block())
 }
 
-/// The description of another robot that has taken over the address of a robot.
+/// Creates the description of another robot, which has taken over the address of the robot that `block` describes.
 pub(crate) fn stranger(block: &InitializationBlock) -> InitializationBlock {
     InitializationBlock { id: RobotId::new("stranger").unwrap_or_else(|_| block.id.clone()), ..block.clone() }
 }

@@ -1,5 +1,6 @@
-//! Draws missions that last for minutes or hours, evenly distributed on a logarithmic scale, while clocks drift. Some acts wait for a
-//! long time, others play for a long time. The leases are long, so that the scheduler queries each robot only once per second.
+//! Draws missions that last for minutes or hours, while clocks drift. The durations are evenly distributed on a logarithmic scale. Some
+//! acts wait for a long time, others play for a long time. The leases are long, so that the scheduler queries each robot only once per
+//! second.
 
 use downbeat_plan::Wait;
 use downbeat_rehearsal::dry_run::BEGIN;
@@ -10,10 +11,10 @@ use super::unusual::move_script;
 use super::{Drawn, faults, millis, one_in};
 use downbeat_mission::ClockMode;
 
-/// The duration of the shortest mission of this family in milliseconds, and the ratio of the longest duration to the shortest.
+/// The duration of the shortest mission of this kind in milliseconds, and the ratio of the longest duration to the shortest.
 const SHORTEST: f64 = 60_000.0;
 const TIMES: f64 = 240.0;
-/// Maximum total drift of a robot that follows NTP, and its maximum rate.
+/// Maximum total drift of a robot that follows NTP, in milliseconds, and its maximum rate in parts per million.
 const NTP_MAX_MS: f64 = 10.0;
 const NTP_MAX_PPM: f64 = 10.0;
 

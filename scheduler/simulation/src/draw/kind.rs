@@ -1,4 +1,4 @@
-//! The kinds of faults, and how a fault of a given kind is drawn.
+//! The kinds of faults. Draws a fault of a given kind.
 
 use std::fmt;
 

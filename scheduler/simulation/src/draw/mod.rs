@@ -1,4 +1,4 @@
-//! Draws the mission of a seed: a fleet, a choreography, the environment, and the faults with their times.
+//! Draws a mission from a seed: a fleet, a choreography, the environment, and the faults with their times.
 
 mod choreography;
 mod faults;
@@ -40,18 +40,19 @@ pub struct Drawn {
     pub network: Network,
     /// Smallest and largest one-way delay of a message.
     pub delay: (Span, Span),
-    /// The probability that a message takes up to twenty times as long.
+    /// The probability that a message takes up to twenty times as long as usual.
     pub tail: f64,
     /// Each robot's description, behaviour and clock.
     pub robots: Vec<DrawnRobot>,
     /// The choreography that is played.
     pub choreography: Choreography,
-    /// For each act: the time from the announcement that the act waits until the awaited event, the operator's go or a sensor reading.
-    /// `None`: never.
+    /// For each act, when the operator's go or the sensor reading that the act waits for occurs: the time from the announcement of the
+    /// wait. `None`: never.
     pub comes_after: Vec<Option<Span>>,
     /// How the mission treats a robot that is absent at first.
     pub join: Join,
-    /// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
+    /// Whether the mission can plan acts after a stop, for example to send all robots home together. Otherwise, each robot goes home on
+    /// its own.
     pub plans_transfers: bool,
     /// The number of acts after which no further act begins. `None`: unlimited.
     pub acts_max: Option<u32>,
@@ -59,14 +60,14 @@ pub struct Drawn {
     pub faults: Vec<(Span, Fault)>,
     /// The disk that contains the scheduler's journal.
     pub disk: DrawnDisk,
-    /// The clock change at the scheduler's location, as an index into the table of changes. `None`: the clocks show UTC.
+    /// Index of the mission's clock change in the table of clock changes. `None`: the clocks show UTC.
     pub clock_change: Option<usize>,
-    /// When the operator stops a mission that has not ended, from its start. `None`: never.
+    /// When the operator stops a mission that has not ended, as the time since its start. `None`: never.
     pub ends_at: Option<Span>,
 }
 
 impl Drawn {
-    /// The maximum duration of the mission if each act is played once: the sum of all acts and waits.
+    /// Returns the maximum duration of the mission if each act is played once: the sum of the durations of all acts and waits.
     #[must_use]
     pub fn lasts(&self) -> Span {
         let acts = self.choreography.acts.iter();
@@ -77,7 +78,7 @@ impl Drawn {
         acts.map(waits).fold(Span::ZERO, |sum, act| sum + act)
     }
 
-    /// Returns this mission without timed faults. The network and the lying robots stay.
+    /// Returns this mission without timed faults and with an unlimited disk. The network is unchanged, and robots still lie.
     #[must_use]
     pub fn without_faults(mut self) -> Self {
         self.faults.clear();
@@ -86,9 +87,10 @@ impl Drawn {
     }
 }
 
-/// Divisor that assigns seeds to families of missions: the remainder of the seed is one of the following constants.
+/// Number by which seeds are divided to determine their family of missions. A seed belongs to a family if the remainder equals the
+/// constant of that family.
 pub(crate) const FAMILIES: u64 = 50;
-/// Family of missions in which several events coincide that rarely do so by chance.
+/// Family of missions with combinations of events that rarely occur by chance.
 const TOGETHER: u64 = 12;
 /// Family of missions in which the operator sends the robots home.
 const SENT_HOME: u64 = 37;
@@ -96,26 +98,26 @@ const SENT_HOME: u64 = 37;
 const UNUSUAL: u64 = 32;
 /// Family of missions in which a fault of a certain kind occurs at a certain stage.
 const STAGED: u64 = 38;
-/// Family of missions with devices that are driven by their speed, or have a limited acceleration.
+/// Family of missions with devices that are driven by their speed or have a limited acceleration.
 pub(crate) const RATES: u64 = 40;
 
 /// Family of missions in which acts wait for a time of day around a clock change.
 pub(crate) const TIMES: u64 = 30;
 
-/// Family of missions that last for hours. Only one in ten of these seeds belongs to it, because each takes as long to simulate as
-/// hundreds of others.
+/// Family of missions that last for hours. Only one in ten seeds with this remainder belongs to it, because each takes as long to
+/// simulate as hundreds of others.
 const HOURS: u64 = 29;
 const HOURS_ONE_IN: u64 = 10;
 
 /// Family of missions in which sensors show the positions of devices that follow their commands with a lag.
 pub(crate) const SENSORS: u64 = 21;
 
-/// Family of missions in which another process answers in place of a robot, with the robot's id. Applies if the seed modulo `TWINS_EVERY`
-/// equals this constant.
+/// Family of missions in which another process answers in place of a robot, with the robot's id. A seed belongs to it if the seed modulo
+/// `TWINS_EVERY` equals this constant.
 pub(crate) const TWINS: u64 = 33;
 pub(crate) const TWINS_EVERY: u64 = 100;
 
-/// One out of this number of missions has devices that may not start at the positions that the first act expects.
+/// One in this many missions has devices that may not start at the positions that the first act expects.
 const MISPLACED_ONE_IN: u64 = 40;
 
 fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
@@ -126,7 +128,7 @@ fn one_in(rng: &mut Rng, count: u8) -> bool {
     rng.u8(0..count) == 0
 }
 
-/// Draws the mission of a seed.
+/// Draws a mission from a seed.
 #[must_use]
 pub fn draw(seed: u64) -> Drawn {
     let rng = &mut Rng::with_seed(seed);
@@ -187,7 +189,7 @@ fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     Drawn { faults, ..drawn }
 }
 
-/// Adds that the operator sends all robots home while acts play, and may give a second command soon afterwards.
+/// Adds a command of the operator that sends all robots home while acts play. A second command may follow soon afterwards.
 fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for device in drawn.robots.iter_mut().flat_map(|robot| robot.block.devices.iter_mut()) {
         device.default_value.get_or_insert(BEGINS_AT);
@@ -205,7 +207,7 @@ fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     drawn
 }
 
-/// Draws when the events occur that acts wait for: in time, too late, or never.
+/// Draws when the events that acts wait for occur: in time, too late, or never.
 fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Span>> {
     let comes = choreography.acts.iter().map(|act| {
         let waits = matches!(act.wait, Wait::Operator | Wait::Sensor { .. });
@@ -219,8 +221,8 @@ fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Spa
     comes.collect()
 }
 
-/// Plays every `every`-th seed from `first` to below `below`, and counts the situations that the missions reach. Fails if a mission
-/// violates an invariant.
+/// Plays every `every`-th seed from `first` up to, but not including, `below`. Counts the situations that the missions reach, and fails
+/// if a mission violates an invariant.
 #[cfg(test)]
 fn reached((first, below): (u64, u64), every: u64) -> std::collections::BTreeMap<crate::Situation, usize> {
     let mut reached = std::collections::BTreeMap::new();

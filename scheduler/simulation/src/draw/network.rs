@@ -8,9 +8,9 @@ use super::{millis, one_in};
 /// How the network transports messages.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Network {
-    /// As with TCP: messages arrive in order, and none is lost while the connection persists.
+    /// The network works like TCP: messages arrive in order, and none is lost while the connection persists.
     Stream,
-    /// As with datagrams: messages may be lost, duplicated and reordered.
+    /// The network works like UDP: messages may be lost, duplicated and reordered.
     Datagram {
         /// Probability that a message is lost.
         loss: f64,
@@ -22,7 +22,7 @@ pub enum Network {
 /// The disk of the scheduler's machine.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnDisk {
-    /// Time until written data survives a power failure.
+    /// Time from writing data until the data survives a power failure.
     pub sync: Span,
     /// Maximum size of the journal in bytes. `None`: unlimited.
     pub capacity: Option<usize>,

@@ -9,10 +9,11 @@ use super::staged::instant;
 use super::{Drawn, Fault, FaultKind, Hands, MISPLACED_ONE_IN, choreography, millis, one_in};
 use crate::{Stage, play};
 
-/// The position that corresponds to a speed of zero when positions are converted to speeds.
+/// The position that becomes a speed of zero when positions are converted to speeds.
 const MIDDLE: f64 = 45.0;
 
-/// Replaces devices, changes their scripts and, in most missions, adds faults during movements.
+/// Replaces devices by devices that are driven by their speed or limited in their acceleration, and changes their scripts. In most
+/// missions, also adds faults during movements.
 pub(super) fn drive_by_rates(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for robot in &mut drawn.robots {
         for device in robot.block.devices.iter_mut() {
@@ -67,7 +68,7 @@ fn with_acceleration(rng: &mut Rng, device: &Device) -> Option<Device> {
     )
 }
 
-/// Draws a maximum acceleration from `least` to `least * times`, evenly distributed on a logarithmic scale. Returns it as JSON.
+/// Draws a maximum acceleration, evenly distributed on a logarithmic scale from `least` to `least * times`. Returns it as JSON.
 fn rate(rng: &mut Rng, least: f64, times: f64) -> String {
     let largest = (least * times.powf(rng.f64())).round();
     format!(r#", "acceleration": {{"min_value": -{largest}, "max_value": {largest}, "granularity": 1}}"#)
@@ -91,8 +92,8 @@ fn described(
     serde_json::from_str(&json).ok()
 }
 
-/// Converts the positions in the scripts of a device to speeds. Most scripts end with speed zero; after the others, the device continues
-/// to move.
+/// Converts the positions in the scripts of a device to speeds. Most scripts end with a speed of zero; after the others, the device
+/// continues to move.
 fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device: &Device) {
     let plans = choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
     let scripts = plans.filter(|plan| plan.robot == *robot).flat_map(|plan| &mut plan.scripts);
@@ -110,7 +111,7 @@ fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device:
     }
 }
 
-/// Replaces the faults by a fault that interrupts playing robots, often followed soon by a second fault.
+/// Replaces the faults of a mission by a fault while robots play, often followed soon by a second fault.
 fn strike_while_it_plays(rng: &mut Rng, drawn: &mut Drawn) {
     use FaultKind::{DeadLink, HardwareDies, Home, Partition, RobotPause, SchedulerCrash, Stop};
     let robot = rng.usize(0..drawn.robots.len());

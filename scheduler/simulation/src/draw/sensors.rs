@@ -14,7 +14,8 @@ use crate::{Stage, play};
 /// The noise of a sensor, as a fraction of the device's declared error.
 const NOISE: f64 = 0.125;
 
-/// Gives most devices sensors and bodies, and in most missions adds a stop before another act.
+/// Gives most devices a sensor that shows their position, and a body that follows commands with a lag. In most missions, also adds a stop
+/// before another act.
 pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for robot in &mut drawn.robots {
         if one_in(rng, 2) {
@@ -51,7 +52,7 @@ pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     drawn
 }
 
-/// Adds to a device a sensor that shows its position, and the declared error `error`.
+/// Returns the device with a sensor that shows its position, and with `error` as its declared position error.
 fn with_sensor(device: &Device, error: f64) -> Option<Device> {
     device.available_control_types.limits(ControlType::Position)?;
     let (id, queue) = (&device.id, device.script_queue);
@@ -69,8 +70,8 @@ fn with_sensor(device: &Device, error: f64) -> Option<Device> {
     serde_json::from_str(&json).ok()
 }
 
-/// The maximum difference, with sufficient probability, between the reading of a device's sensor and the position of the device at rest.
-/// `None` without a sensor.
+/// Returns how far the reading of a device's sensor may be from the position of the device at rest. This limit is exceeded only with
+/// negligible probability. `None` without a sensor.
 pub(crate) fn shows_within(device: &Device) -> Option<f64> {
     device.available_control_types.sensor()?;
     let error = device.available_control_types.limits(ControlType::Position)?.max_error?;

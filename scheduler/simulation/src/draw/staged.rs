@@ -1,8 +1,8 @@
 //! Draws missions such that a fault of each kind occurs at each stage of a mission. With random times, more than half of the faults would
-//! occur before anything is sent or after the end, and hardly any in the short stages.
+//! occur before anything is sent or after the end. Hardly any would occur in the short stages.
 //!
-//! The seed determines the kind and the stage. The time of the stage is taken from the same mission with only the faults that lead to it,
-//! if any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
+//! The seed determines the kind and the stage. The time comes from a run of the same mission without the fault. If only another fault
+//! leads to the stage (a stop, or the end of the scheduler), that run includes it. One seed in fifty is such a mission.
 
 use downbeat_plan::Wait;
 use fastrand::Rng;
@@ -13,7 +13,7 @@ use crate::stage::{faults_met, intervals};
 use crate::{Ran, Stage, play};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The maximum number of missions that are drawn for one seed until the fault occurs at its stage.
+/// Maximum number of missions that are drawn for a seed, until the fault occurs at its stage in one of them.
 pub(super) const ATTEMPTS: usize = 16;
 
 /// The kinds of faults with the stages at which they can occur.
@@ -22,13 +22,13 @@ fn cells() -> Vec<(FaultKind, Stage)> {
     cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
 }
 
-/// The kinds of faults to draw: all except twins, which have their own family of missions.
+/// Returns the kinds of faults to draw: all except twins, which have their own family of missions.
 fn kinds() -> impl Iterator<Item = FaultKind> {
     FaultKind::ALL.into_iter().filter(|kind| *kind != FaultKind::Twin)
 }
 
 /// Replaces the faults of a mission by a fault whose kind and stage the seed determines. In half of the missions, adds another fault at
-/// any stage. `index`: the number of this mission within its family.
+/// any stage. `index` is the number of this mission within its family.
 pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let cells = cells();
     let (kind, stage) = cells[usize::try_from(index).unwrap_or(0) % cells.len()];
@@ -88,7 +88,7 @@ fn insert(drawn: &mut Drawn, at: Span, fault: Fault) {
     drawn.faults.sort_by_key(|(at, _)| *at);
 }
 
-/// Adds the prerequisite of a stage: an act that waits, or an earlier fault while an act is under way.
+/// Adds what a mission needs to reach a stage: an act that waits, or an earlier fault while an act is under way.
 fn bring_about(rng: &mut Rng, mut drawn: Drawn, stage: Stage) -> Option<Drawn> {
     let fault = match stage {
         Stage::Waits => {

@@ -12,9 +12,9 @@ use super::{Drawn, millis, one_in};
 
 /// The length of a day.
 const DAY: Span = Span::from_millis(24 * 3_600_000);
-/// When the operator stops the mission, because an act may wait for a time on the next day.
+/// When the operator stops the mission, as the time since its start. Without this stop, an act may wait until the next day.
 const ENDS_AT: Span = Span::from_millis(15_000);
-/// The maximum distance in milliseconds from a clock change for times that the clocks skip or show twice.
+/// The maximum time between a clock change and a time of day that the clocks skip or show twice, in milliseconds.
 const AROUND_MAX: i64 = 3_000;
 
 /// A change of the local time, as at the start and end of daylight saving time.
@@ -67,7 +67,7 @@ impl ClockChange {
     }
 }
 
-/// The time zone of a mission. A zone is a function without data, so each change has its own function.
+/// Returns the time zone of a mission. A time zone is a function without data, so each clock change has its own function.
 pub(crate) fn zone(change: Option<usize>) -> Zone {
     const fn of<const INDEX: usize>() -> Zone {
         Zone::new(|at| {

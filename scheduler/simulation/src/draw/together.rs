@@ -1,8 +1,8 @@
-//! Draws missions with coincidences that chance rarely produces. In one kind, a process dies between the decision and the commitment, and
-//! the mission is resumed before the start while a robot is unreachable. In the other kind, a link breaks in the middle of a long script,
-//! and is re-established well before the lease expires.
+//! Draws missions with two combinations of events that rarely occur by chance. In the first, the scheduler dies between the decision and
+//! the commitment. The mission is resumed before the start while a robot is unreachable. In the second, a link breaks in the middle of a
+//! long script, and is re-established well before the lease expires.
 //!
-//! The times are taken from the same mission without its faults. One seed in fifty is such a mission.
+//! The times come from a run of the same mission without faults. One seed in fifty is such a mission.
 
 use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
@@ -14,18 +14,19 @@ use downbeat_mission::{Progress, Promise, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::Direction;
 
-/// Adds one of these coincidences to a drawn mission, unless the mission never reaches its first decision.
+/// Adds one of the two combinations of events to a drawn mission, unless the mission never reaches its first decision.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
     if rng.bool() { taken_up_before_the_start(rng, drawn) } else { back_before_the_lease_is_over(rng, drawn) }
 }
 
-/// The course of the first act that is decided; times are relative to the start of the mission.
+/// The promise of the first act that is decided, and the times of its decision, commitment and start. Times are relative to the start of
+/// the mission.
 struct Decision {
     promise: Promise,
     decided: Span,
     committed: Span,
     start: Span,
-    /// The instant after which silence of a robot may be noticed too late.
+    /// The instant from which the mission may notice a robot's silence too late.
     doubtful_from: Span,
 }
 
@@ -158,7 +159,7 @@ mod tests {
     use super::*;
     use crate::{judge, run};
 
-    /// Plays some missions of this family.
+    /// Plays several missions of this family.
     fn such() -> impl Iterator<Item = Ran> {
         (0..10_000).filter(|seed| seed % super::super::FAMILIES == super::super::TOGETHER).map(run)
     }

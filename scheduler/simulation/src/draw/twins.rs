@@ -7,7 +7,7 @@ use super::staged::{ATTEMPTS, with_fault};
 use super::{Drawn, DrawnRobot, Fault, FaultKind, Names, draw_mission, millis, one_in};
 use crate::Stage;
 
-/// Replaces the faults of a mission by a twin, and in most missions adds a stop soon afterwards. `index`: the number of this mission
+/// Replaces the faults of a mission by a twin, and in most missions adds a stop soon afterwards. `index` is the number of this mission
 /// within its family.
 pub(super) fn answer_by_twins(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let stage = Stage::ALL[usize::try_from(index).unwrap_or(0) % Stage::ALL.len()];

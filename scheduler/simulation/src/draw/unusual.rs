@@ -1,5 +1,5 @@
-//! Draws unusual missions: repeated acts, first steps later than the starts of their scripts, a robot that never joins, and movements
-//! that last for minutes while clocks drift. One seed in fifty is such a mission.
+//! Draws unusual missions. Acts are repeated, scripts start before their first steps, a robot never joins, or movements last for minutes
+//! while clocks drift. One seed in fifty is such a mission.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use urrcp::{Millis, Script, Span, Step};
 use super::{Drawn, faults, one_in};
 use downbeat_mission::{ClockMode, Join};
 
-/// Time after the start of a mission at which a robot joins that never joins.
+/// Start time of the process of a robot that is to be absent for the whole mission, relative to the start of the mission.
 const NEVER: Span = Span::from_millis(3_600_000);
 /// The maximum total duration of all acts, in milliseconds.
 const LAST_MAX: f64 = 120_000.0;
@@ -27,7 +27,7 @@ pub(super) fn reshape(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     Drawn { faults, ..drawn }
 }
 
-/// Makes the last act lead back to an earlier act or to itself, until two to six acts have begun.
+/// Makes the last act lead back to an earlier act or to itself. No further act begins after two to six acts have begun.
 fn repeat_acts(rng: &mut Rng, drawn: &mut Drawn) {
     let acts = &mut drawn.choreography.acts;
     let back = rng.usize(0..acts.len());
@@ -50,14 +50,15 @@ fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
     }
 }
 
-/// Makes one robot never join.
+/// Makes one robot absent for the whole mission.
 fn leave_one_out(rng: &mut Rng, drawn: &mut Drawn) {
     let robot = rng.usize(0..drawn.robots.len());
     drawn.robots[robot].there_from = NEVER;
     drawn.join = if one_in(rng, 3) { Join::Refuse } else { Join::NextAct };
 }
 
-/// Makes all movements up to fifty times as long, evenly distributed on a logarithmic scale, and makes clocks without NTP drift.
+/// Makes all movements longer, by a factor of up to fifty that is evenly distributed on a logarithmic scale. Also adds drift to the
+/// clocks that do not follow NTP.
 fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
     let lasts = drawn.choreography.acts.iter().map(|act| act.plan.duration().as_millis_f64()).sum::<f64>();
     let longest = (LAST_MAX / lasts.max(1.0)).clamp(1.0, 50.0);
@@ -71,7 +72,7 @@ fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
     }
 }
 
-/// Changes the start of a script and the times of its steps, in whole milliseconds.
+/// Changes the start of a script and the times of its steps. Rounds all times to whole milliseconds.
 pub(super) fn move_script(
     script: &mut DeviceScript,
     start: impl Fn(f64) -> f64,

@@ -1,6 +1,8 @@
-//! The virtual world in which the mission of a seed is played. This file determines the next event and the part of the world that
-//! performs it. `network` transports messages, `faults` applies faults, `scheduler` is the process that runs the main loop. `robots` are
-//! the other processes, and `operator` is the person at the terminal.
+//! The virtual world in which the mission of a seed is played. This file determines the next event and the part of the world that handles
+//! it.
+//!
+//! `network` transports messages, `faults` applies faults, `scheduler` is the process that runs the main loop. `robots` are the robots'
+//! processes, and `operator` is the person at the terminal.
 
 mod faults;
 mod network;
@@ -29,12 +31,12 @@ use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::{Kernel, Virtual};
 
-/// A mission counts as hung if it lasts longer than this and longer than twice the duration of its acts and waits.
+/// A mission counts as hung if it lasts longer than this plus twice the duration of its acts and waits.
 const LASTS_MAX: Span = Span::from_millis(180_000);
-/// Maximum number of steps of the world at one instant, far more than the possible number of events.
+/// Maximum number of steps of the world at one instant. It is far larger than the possible number of events.
 const ROUNDS_MAX: u32 = 20_000;
-/// Maximum number of events in a mission, in total, and per robot and second of its acts and waits. Without this limit, a mission with
-/// ever more events would exhaust the memory.
+/// Limits on the number of events in a mission: a basic number, and a number per robot and second of its acts and waits. Without these
+/// limits, a mission with ever more events would exhaust the memory.
 const HAPPENS_MAX: usize = 200_000;
 const HAPPENS_A_SECOND: usize = 12;
 /// Time after which a connection attempt fails.
@@ -42,7 +44,7 @@ const CONNECT_FAILS: Span = Span::from_millis(300);
 /// How long the robots are observed after the end of the mission.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
-/// The operator's timeout for links, greetings and stop confirmations.
+/// How long the operator waits for links, greetings and confirmations of stops.
 pub(super) const PATIENCE: Span = Span::from_millis(2_000);
 
 enum Item {
@@ -74,7 +76,7 @@ enum Item {
         robot: usize,
         link: LinkId,
     },
-    /// The event occurs that the act with the given index waits for.
+    /// The event that the act with the given index waits for occurs.
     Comes(usize),
     Resume,
     Answer {
@@ -82,7 +84,7 @@ enum Item {
         link: LinkId,
         message: Box<Message>,
     },
-    /// The disk has completed the write that the scheduler's process number `life` requested.
+    /// The disk has completed a write. `life` is the number of the scheduler process that requested it.
     Synced {
         life: u32,
     },
@@ -91,7 +93,7 @@ enum Item {
 /// State of the machine on which a robot's process runs or ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Machine {
-    /// The machine closes connections and refuses new ones on behalf of the ended process.
+    /// The machine runs. After the robot's process has ended, it closes the connections of that process and refuses new ones.
     Up,
     /// The machine itself is gone.
     Down,
@@ -107,7 +109,7 @@ struct World {
     scheduler: Scheduler,
     /// Number of steps of the world at the current instant.
     rounds: u32,
-    /// Whether the mission never ends.
+    /// Whether the mission is stuck and will never end.
     hung: bool,
     /// The number of the act whose promise ends the run. `None`: the run is played to its end.
     last_act: Option<u32>,
@@ -265,7 +267,7 @@ impl World {
         self.hung |= self.history.len() > self.happens_max;
     }
 
-    /// Observes the robots after the final end of the scheduler.
+    /// Observes the robots for a while after the last scheduler process has ended.
     fn aftermath(&mut self) {
         self.scheduler.process = Process::Gone;
         let until = self.kernel.now + AFTERMATH;

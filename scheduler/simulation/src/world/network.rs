@@ -23,7 +23,7 @@ pub(super) fn path(drawn: &Drawn, robot: &DrawnRobot, rng: &mut Rng) -> Path {
 }
 
 impl World {
-    /// When a message arrives; `None` if it is lost.
+    /// Returns when a message arrives; `None` if it is lost.
     fn travel(&mut self, robot: usize, way: Direction, message: &Message) -> Option<Timestamp<Server>> {
         let path = &mut self.robots[robot].path;
         let Some(travel) = path.travel(&mut self.rng, self.kernel.now, way, Some(message)) else {
@@ -44,7 +44,7 @@ impl World {
         Some(arrives)
     }
 
-    /// The arrivals of a message at a robot or the scheduler: a datagram may be lost or arrive twice.
+    /// Returns when a message arrives at a robot or the scheduler, once per copy: a datagram may be lost or arrive twice.
     fn arrivals(
         &mut self,
         robot: usize,
@@ -58,7 +58,7 @@ impl World {
         twin.into_iter().chain(arrives.map(|at| (at, message)))
     }
 
-    /// Delivers a message to a robot if the robot reads the connection.
+    /// Delivers a message to a robot if the robot currently reads this connection.
     pub(super) fn arrive_at_robot(&mut self, robot: usize, link: LinkId, message: Message) {
         let side = &mut self.robots[robot];
         if let Some((_, unread)) = side.waiting.as_mut().filter(|(waiting, _)| *waiting == link) {
@@ -85,7 +85,7 @@ impl World {
         self.kernel.robots.change(robot, |machine| machine.receive(now, link, input));
     }
 
-    /// Resets a connection when a message arrives on it that the operating system does not know, as after a restart.
+    /// Resets a connection that the robot's operating system does not know when a message arrives on it, as after a restart.
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
@@ -124,7 +124,7 @@ impl World {
         dead
     }
 
-    /// Informs the scheduler that a connection has ended, as soon as this information can arrive.
+    /// Informs the scheduler that a connection has ended, as soon as the network can transport this information.
     pub(super) fn link_breaks(
         &mut self,
         robot: usize,
@@ -140,7 +140,7 @@ impl World {
         self.kernel.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
 
-    /// Breaks a robot's connections that carry no messages.
+    /// Breaks the connections of a robot that carry no messages, once the fault is over.
     pub(super) fn dead_links_end(&mut self, robot: usize) {
         if self.kernel.now < self.robots[robot].dead_until {
             return;
@@ -188,7 +188,7 @@ impl World {
         }
     }
 
-    /// Informs a robot that a connection has ended. The robot then reads a connection that waits, if any.
+    /// Informs a robot that a connection has ended. The robot then reads the connection that has waited, if any.
     pub(super) fn robot_link_down(&mut self, robot: usize, link: LinkId) {
         let side = &mut self.robots[robot];
         side.waiting.take_if(|(waiting, _)| *waiting == link);
@@ -212,7 +212,7 @@ fn is_stop(message: &Message) -> bool {
     matches!(&request.command, Command::Script(script) if script.is_empty())
 }
 
-/// The part of a message that the checks need.
+/// Returns a message that contains only what the checks need.
 fn brief(message: &Message) -> Message {
     match message {
         Message::ControlRequest(request) => {

@@ -1,5 +1,4 @@
-//! The operator of a simulated mission, and the events that the mission waits for: the go, a sensor reading, a stop from another
-//! terminal.
+//! The operator of a simulated mission, and the events that the mission waits for: the operator's go, or a sensor reading.
 
 use downbeat_plan::Wait;
 
@@ -8,7 +7,7 @@ use crate::draw::BRIGHT;
 use downbeat_mission::{Event, Progress};
 
 impl World {
-    /// Schedules the event that an act waits for, if it ever occurs, at a delay after the announcement of the wait.
+    /// When an act announces that it waits for an event, schedules that event, if it ever occurs.
     pub(super) fn hears(&mut self, progress: &Progress) {
         let Progress::Waiting { act, .. } = progress else { return };
         let acts = &self.drawn.choreography.acts;

@@ -27,7 +27,7 @@ pub(super) enum Process {
     TakenUp(Intention),
 }
 
-/// The command of an operator for a mission whose process has ended.
+/// The command that an operator runs after the process of a mission has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
     /// The operator runs `downbeat resume`.
@@ -43,7 +43,7 @@ struct PendingFault {
     burnt: SchedulerFault,
 }
 
-/// What happens to the scheduler's process when a pending fault occurs.
+/// What happens to the scheduler's process when a fault occurs between two of its actions.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum SchedulerFault {
     Dies { resumed_after: Option<Span> },
@@ -52,31 +52,31 @@ pub(super) enum SchedulerFault {
 
 pub(super) struct Scheduler {
     pub(super) process: Process,
-    /// Number of the current scheduler process. Pending items of an earlier process are lost.
+    /// Number of the current scheduler process. Events that an earlier process has scheduled are ignored.
     life: u32,
     pub(super) paused_until: Timestamp<Server>,
     /// Whether the process, after a pause, handles an expired timer before received events.
     pub(super) timers_first: bool,
-    /// Events that have arrived and that the process has not taken yet.
+    /// Events that have arrived, but that the process has not handled yet.
     arrived: VecDeque<drive::Happened>,
-    /// The link to each robot, as the process sees it.
+    /// The link that the process uses to each robot; `None` if it has none.
     links: Vec<Option<LinkId>>,
     /// The newest connection attempt to each robot, which replaces earlier attempts.
     attempts: Vec<Option<LinkId>>,
-    /// The journal; `None` only during a handover to another process.
+    /// The journal; `None` only while another process takes over the mission.
     journal: Option<Journal<SimulatedDisk>>,
     /// Records that wait to be written to the disk, with their times.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
-    /// Messages of the instant at which the process stalled between two actions. The process sends them when it continues.
+    /// Messages that the process could not send at the instant at which it stalled between two actions. It sends them when it continues.
     unsent: Vec<(usize, LinkId, Message)>,
-    /// Whether the process stalled between two actions and has to continue with the actions of that instant.
+    /// Whether the process stalled between two actions of one instant, and has to perform the remaining ones when it continues.
     stalls_in_act: bool,
     disk: DiskState,
     pub(super) disk_stands_still_until: Timestamp<Server>,
     fuse: Option<PendingFault>,
-    /// The clock of the scheduler's machine minus the true time.
+    /// By how much the clock of the scheduler's machine is ahead of the true time.
     pub(super) clock_of_machine: Span,
-    /// The process's own clock minus the true time. The process started with the clock of the machine.
+    /// By how much the process's own clock is ahead of the true time. The process adopted the clock of the machine at its start.
     pub(super) ahead: Span,
 }
 
@@ -86,7 +86,7 @@ enum DiskState {
     Syncing,
     /// The disk has failed, and the mission has been informed.
     Lost,
-    /// Nothing is written until the mission ends, because a stop does not wait for the disk.
+    /// Nothing is written to the disk until the mission ends, because a process that withdraws the mission does not wait for the disk.
     Unused,
 }
 
@@ -137,14 +137,14 @@ impl Scheduler {
         }
     }
 
-    /// Schedules a fault after `actions` more actions.
+    /// Schedules a fault that occurs after the process has performed `actions` more actions.
     pub(super) fn light_fuse(&mut self, actions: u32, burnt: SchedulerFault) {
         if self.is_running() {
             self.fuse.get_or_insert(PendingFault { actions, burnt });
         }
     }
 
-    /// When the process takes the received events, if it could not take them at once.
+    /// Returns when the process handles the events that it could not handle at once, if any.
     pub(super) fn wakes(&self) -> Option<Timestamp<Server>> {
         let has_work = !self.arrived.is_empty() || self.stalls_in_act;
         (has_work && self.process == Process::Running).then_some(self.paused_until)
@@ -154,12 +154,12 @@ impl Scheduler {
         self.process == Process::Running
     }
 
-    /// The link id that robots see. Successive scheduler processes share no link.
+    /// Returns the id under which robots know a link. No two scheduler processes use the same id.
     fn id_of(&self, link: LinkNumber) -> LinkId {
         LinkId((u64::from(self.life) << 32) | link.0)
     }
 
-    /// The number of a link; `None` if an earlier scheduler process made it.
+    /// Returns the number of a link in the current scheduler process; `None` if an earlier process created the link.
     fn number_of(&self, link: LinkId) -> Option<LinkNumber> {
         (link.0 >> 32 == u64::from(self.life)).then_some(LinkNumber(link.0 & 0xffff_ffff))
     }
@@ -177,7 +177,7 @@ fn unreachable_session() -> SessionId {
 
 impl World {
     /// Ends the scheduler's process. Data that the journal's thread had not passed to the operating system is lost. If the power fails,
-    /// data that was not synced may also be torn.
+    /// data that was not synced may be lost in part.
     pub(super) fn kill_scheduler(&mut self) {
         if !self.scheduler.is_running() {
             return;
@@ -226,7 +226,7 @@ impl World {
         }
     }
 
-    /// Counts an action. Returns whether the process performs it, and does not end before.
+    /// Counts an action of the process. Returns whether the process performs it; `false` if the process ends before the action.
     fn acts(&mut self) -> bool {
         match &mut self.scheduler.fuse {
             Some(PendingFault { actions: 0, burnt: SchedulerFault::Dies { resumed_after } }) => {
@@ -252,7 +252,7 @@ impl World {
         side.timers_first = self.drawn.seed.is_multiple_of(2);
     }
 
-    /// Performs the actions that remained when the process stalled between two actions.
+    /// Performs the actions that remained when the process had stalled between two actions.
     fn finish_acting(&mut self) {
         if std::mem::take(&mut self.scheduler.stalls_in_act) {
             for (robot, link, message) in std::mem::take(&mut self.scheduler.unsent) {
@@ -262,7 +262,8 @@ impl World {
         }
     }
 
-    /// Waits until another process resumes the mission, if one will, and returns the mission that it reads from the journal.
+    /// Waits until another process takes over the mission, and returns the mission that this process reads from the journal. `None` if no
+    /// process will do so.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
         let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
         while self.kernel.agenda.items().any(takes_up) {
@@ -280,7 +281,7 @@ impl World {
         self.take_up(Intention::Resume);
     }
 
-    /// Does what `downbeat stop` does: asks the scheduler of a running mission to stop, or withdraws a mission whose process has ended.
+    /// Simulates `downbeat stop`: asks the scheduler of a running mission to stop, or withdraws a mission whose process has ended.
     pub(super) fn stop_by_journal(&mut self) {
         if self.scheduler.is_running() {
             self.tell(Event::StopRequested { rest: Rest::InPlace, by: None })
@@ -328,7 +329,7 @@ impl World {
         })
     }
 
-    /// Queues an event for the scheduler, which takes it when it can.
+    /// Queues an event for the scheduler, which handles it as soon as it can.
     pub(super) fn tell(&mut self, event: Event) {
         let at = self.kernel.now + self.scheduler.ahead;
         self.scheduler.arrived.push_back(drive::Happened::Event { at, event: Box::new(event) });
@@ -345,7 +346,7 @@ impl World {
         }
     }
 
-    /// Passes all waiting records to the disk.
+    /// Begins to write all waiting records to the disk.
     fn begin_writing(&mut self) {
         let side = &mut self.scheduler;
         let Some(journal) = &mut side.journal else { return };
@@ -378,7 +379,7 @@ impl World {
         self.begin_writing();
     }
 
-    /// Adds to the history the events that the trace and the checks need.
+    /// Adds an event that the scheduler handles to the history, if the trace and the checks need it.
     fn note_taken(&mut self, happened: &drive::Happened) {
         let (drive::Happened::OnLink { event, .. } | drive::Happened::Event { event, .. }) = happened else {
             return;
@@ -509,7 +510,7 @@ impl drive::World for World {
     }
 }
 
-/// Converts a promise from the clock of its process to the true time.
+/// Converts the times of a promise from the clock of the process that made it to the true time.
 fn by_true_time(record: Record, ahead: Span) -> Record {
     match record {
         Record::Prepared(promise) => Record::Prepared(Promise {
@@ -522,7 +523,8 @@ fn by_true_time(record: Record, ahead: Span) -> Record {
 }
 
 impl World {
-    /// Makes the process use the link `link` to a robot instead of an older link.
+    /// Makes the process use `link` to a robot instead of an older link. Returns `false` if the link is obsolete or the process does not
+    /// run.
     pub(super) fn links_to(&mut self, robot: usize, link: LinkId) -> bool {
         let is_newest = self.scheduler.attempts[robot] == Some(link);
         let lives = self.scheduler.is_running() && self.scheduler.number_of(link).is_some() && is_newest;

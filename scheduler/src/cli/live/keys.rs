@@ -134,7 +134,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
 
 const LINES: &str = "Enter or `go` starts the waiting act, `stop` or Ctrl-C stops all robots where they are, `home` stops them and then moves them to their default positions";
 
-/// Stops the mission by the signal that Ctrl-C sends.
+/// Stops the mission by sending this process the signal that Ctrl-C sends.
 fn stop() {
     let _own_process = kill_process(getpid(), Signal::INT);
 }
@@ -147,7 +147,7 @@ fn toggle_help(scene: &Mutex<Scene>) {
     };
 }
 
-/// On Ctrl-Z, restores the terminal; `fg` brings the display back. The task ends with the process.
+/// Starts a task that restores the terminal on Ctrl-Z, and brings the display back after `fg`. The task ends with the process.
 pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
     let Ok(mut suspended) = signal(SignalKind::from_raw(Signal::TSTP.as_raw())) else { return };
     tokio::spawn(async move {

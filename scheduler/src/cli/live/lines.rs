@@ -68,7 +68,7 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress, detail: Detai
     })
 }
 
-/// Returns the preflight checks if they are worth printing as a table: unless all checks simply passed. Faults of robots are printed
+/// Returns the preflight checks for printing as a table, unless every check either passed or was not made. Faults of robots are printed
 /// separately when they are found.
 pub(super) fn table_worth_showing(progress: &Progress) -> Option<&Preflight> {
     let Progress::Greeted { preflight, .. } = progress else { return None };

@@ -61,7 +61,7 @@ impl Live {
         Self { format, scene: None }
     }
 
-    /// Starts the display, if the terminal supports it, and handles the operator's keys. Must be called within a runtime.
+    /// Starts the display, if the terminal supports it, and handles the operator's keys. Must be called within a Tokio runtime.
     pub(super) fn start(
         format: Format,
         clock: ServerClock,

@@ -56,7 +56,8 @@ pub(super) enum Stage {
         until: Option<Timestamp<Server>>,
         /// When the previous act ended. `None` while the previous act still plays.
         since: Option<Timestamp<Server>>,
-        /// The latest reading of the sensor that the act waits for. `None` before the first reading.
+        /// The latest reading of the sensor that the act waits for. `None` before the first report; `Some(None)` if the sensor has no
+        /// reading.
         reading: Option<Option<f64>>,
     },
     Preparing {
@@ -300,7 +301,7 @@ impl Model {
         }
     }
 
-    /// Sets the stage of an act, and adds the act if necessary. Removes other acts that have only waited.
+    /// Sets the stage of an act, and adds the act if necessary. Removes all other acts that are still waiting.
     fn set(&mut self, name: &str, stage: Stage) {
         self.phase = Phase::Performing;
         self.acts.retain(|act| act.name == name || !act.is_waiting());
@@ -313,7 +314,7 @@ impl Model {
         self.plan_rows();
     }
 
-    /// Sets the steps in the rows to those planned for the first act, once that act is sent.
+    /// Updates the rows to the planned steps of the first act, unless that act still waits.
     fn plan_rows(&mut self) {
         let Some(front) = self.acts.first().filter(|act| !act.is_waiting()) else { return };
         if front.index.is_none() || front.index == self.planned {
@@ -337,8 +338,8 @@ impl Model {
         }
     }
 
-    /// Shows the act's robots as ready to start, when the start of the act is decided. If the previous act still plays, the rows change
-    /// only once it is over.
+    /// Shows the act's robots as `accepted` when the start of the act is decided. If the previous act still plays, the rows change only
+    /// when that act has ended.
     fn take_over(&mut self, name: &str) {
         if self.acts.first().is_some_and(|act| act.name == name) {
             for row in self.rows.iter_mut().filter(|row| row.steps_planned > 0) {
@@ -394,7 +395,7 @@ impl Row {
         self.steps_done.max(due as u64)
     }
 
-    /// Whether the robot may have executed more steps than it has reported, because it reports them at the end of a script.
+    /// Whether the robot may have executed more steps than it has reported. Robots report their steps at the end of a script.
     pub(super) fn may_have_done_more(&self) -> bool {
         let open = matches!(self.state, RobotState::Failed | RobotState::LinkLost | RobotState::Stopping);
         let silent = self.state == RobotState::AtRest && self.steps_done == 0;

@@ -43,7 +43,7 @@ pub(super) fn has_keys() -> bool {
     std::io::stdin().is_terminal()
 }
 
-/// Switches the terminal to single keys without echo.
+/// Switches the terminal to a mode in which each key arrives at once, without Enter and without an echo.
 pub(super) fn take_keys() {
     if !has_keys() || is_in_background() {
         return;

@@ -23,7 +23,8 @@ pub(super) fn parse(text: &str) -> Result<Span, String> {
 }
 
 impl Work<'_> {
-    /// Adds a first act that moves all devices to their first positions. Returns the choreography and the index of the act to begin with.
+    /// Adds an approach: an act that moves all devices to their first positions. Returns the choreography and the index of the act to
+    /// begin with.
     pub(super) async fn approached(
         &mut self,
         over: Span,

@@ -1,4 +1,4 @@
-//! Opens the journal of a new mission. The operator can stop it even while the disk stalls.
+//! Opens the journal of a new mission. The operator can stop the mission even while the disk stalls.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ pub(super) async fn begin(
     unless_stopped(operator, opening).await?.map_err(usage)
 }
 
-/// Runs `work` on another thread, because the disk may stall. Does not wait for its end if the operator stops the mission.
+/// Runs `work` on another thread, because the disk may stall. Does not wait for the end of `work` if the operator stops the mission.
 async fn unless_stopped<T: Send + 'static>(
     operator: &mut mpsc::Receiver<Operator>,
     work: impl FnOnce() -> T + Send + 'static,

@@ -7,8 +7,8 @@ use crate::cli::console;
 use crate::journal::{Found, MissionState, Missions};
 
 /// Returns an error if a robot is already in a mission of this machine. Robots themselves also refuse a second scheduler, including those
-/// on other machines. If robots are seized, those with a `tls://` or `hmac://` address decide themselves. Prints warnings about missions
-/// that were cut off.
+/// on other machines. If `seize` is true, robots with a `tls://` or `hmac://` address are not checked here, because they decide
+/// themselves. Prints warnings about missions that were cut off.
 ///
 /// # Errors
 /// Returns, as a sentence, which robots are taken, and by which missions.
@@ -49,7 +49,7 @@ fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
     }
 }
 
-/// Returns those of the robots whose addresses occur in a mission.
+/// Returns the ids of those robots whose addresses the mission contains.
 fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
     let named = |robot: &&&FleetRobot| {
         let address = robot.address.to_string();

@@ -9,8 +9,8 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, SharedFault, robots_named};
 
-/// Maximum number of robots whose Zenoh keys differ only in the last word. With more, the handshake takes considerably longer than with
-/// several groups of keys (docs/zenoh.md).
+/// Maximum number of robots whose Zenoh keys differ only in the last word. With more robots, the handshake takes considerably longer than
+/// if their keys were divided into several groups (docs/zenoh.md).
 const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;
 
 /// Reports robots without protection: anyone who can send messages to them can move them.
@@ -68,7 +68,7 @@ pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[Fl
     }
 }
 
-/// Groups robots that have a key in common with another robot of their group.
+/// Groups robots by shared keys. A robot joins the group in which one of its keys already occurs, or else starts a new group.
 fn with_something_in_common<'a, K: Eq + Hash>(
     robots: impl Iterator<Item = (&'a FleetRobot, Vec<K>)>,
 ) -> Vec<Vec<&'a FleetRobot>> {
@@ -98,7 +98,8 @@ fn several(first: &FleetRobot, second: &FleetRobot, others: &[&FleetRobot]) -> S
     }
 }
 
-/// Reports too many robots whose Zenoh keys differ only in the last word. Routers of Zenoh compare each declared key with all such keys.
+/// Reports more than `ROBOTS_AT_A_PLACE_MAX` robots whose Zenoh keys differ only in the last word. Zenoh routers compare each newly
+/// declared key with all such keys.
 pub(super) fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     let mut crowds: BTreeMap<&str, Vec<&FleetRobot>> = BTreeMap::new();
     for robot in fleet {

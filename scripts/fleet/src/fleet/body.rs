@@ -1,4 +1,4 @@
-//! The keys `space` of a fleet, and `body` of a robot.
+//! Reads the key `space` of a fleet, and the key `body` of a robot.
 
 use std::collections::BTreeMap;
 
@@ -209,7 +209,7 @@ fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
     }
 }
 
-/// Reads an arm from a URDF. Its last link has length 0.
+/// Reads an arm from a URDF file. The last link of the arm has length 0.
 fn read_urdf(
     findings: &mut Reader,
     urdf: At<'_>,
@@ -235,7 +235,7 @@ fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
     }
 }
 
-/// Reports coordinates that are given although the drive already determines them.
+/// Reports coordinates of the body that are given although its drive already determines them.
 fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
     for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
         let message = format!("the drive already determines `{name}`");
@@ -274,7 +274,7 @@ fn read_coordinate(
     of_device(findings, &device?, [scale, offset], init, units)
 }
 
-/// The scale of the unit in which users write fixed values: degrees for angles.
+/// Returns the factor that converts values as users write them to the base unit: from degrees to radians for angles, otherwise 1.
 fn own_unit(units: &[(&str, f64)]) -> f64 {
     units.iter().find(|(unit, _)| ["deg", "deg/s"].contains(unit)).map_or(1.0, |(_, scale)| *scale)
 }
@@ -285,7 +285,7 @@ pub(super) fn fixed(findings: &mut Reader, at: &At<'_>, units: &[(&str, f64)]) -
     Some(Coordinate::Fixed(value * own_unit(units)))
 }
 
-/// A coordinate that a device sets, scaled by the unit of the device or by a given scale.
+/// Returns a coordinate that a device sets. Its scale is the given one or, by default, the size of the device's unit.
 pub(super) fn of_device(
     findings: &mut Reader,
     name: &At<'_>,
@@ -310,7 +310,7 @@ pub(super) fn of_device(
     Some(Coordinate::Device { device: device.id.clone(), scale, offset })
 }
 
-/// A coordinate that the named device sets, scaled by the unit of the device.
+/// Returns a coordinate that the named device sets. Its scale is the size of the device's unit.
 pub(super) fn by_name(
     findings: &mut Reader,
     at: &At<'_>,

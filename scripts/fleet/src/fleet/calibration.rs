@@ -1,4 +1,4 @@
-//! The key `calibrate` of a robot: how the latency of its devices may be measured.
+//! Reads the key `calibrate` of a robot, which states how the latency of the robot's devices may be measured.
 
 use std::collections::BTreeMap;
 
@@ -49,22 +49,22 @@ pub struct Calibration {
     pub from: Option<f64>,
     /// The small safe distance by which the device may be moved from the start, in its unit; not 0.
     pub by: f64,
-    /// When the sensor's value is sampled between request and response.
+    /// The time between request and response at which the sensor's value is sampled.
     pub taken: Taken,
-    /// The age of the value when it is sampled, which no round trip shows.
+    /// The age of the value when it is sampled. This age cannot be derived from measured round trips.
     pub sensor_delay: Span,
     /// The distance after which the device has visibly started to move, in its unit. Above 0, and at most half of `by`.
     pub visible: f64,
 }
 
-/// When the value of a sensor is sampled between request and response, as far as this is known.
+/// The time between request and response at which a sensor's value is sampled, as far as it is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taken {
-    /// When the robot receives the request. The sensor's delay lies between the sampling and the response.
+    /// When the robot receives the request. The sensor's processing time passes between the sampling and the response.
     AtRequest,
-    /// When the robot sends its response, because it waits for the next value.
+    /// When the robot sends its response, because the robot waits for the sensor's next value.
     AtAnswer,
-    /// At an unknown time in between. The uncertainty is half of the sensor's delay.
+    /// At an unknown time between request and response. The uncertainty is half of the sensor's processing time.
     #[default]
     Between,
 }
@@ -105,7 +105,8 @@ pub(super) fn read(
     all
 }
 
-/// Checks that the movement stays within the limits of the device. If the start of the movement is not given, only its length is checked.
+/// Checks that the movement of a calibration is not 0 and stays within the limits of the device. If the start of the movement is not
+/// given, checks only its length.
 fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
     let (least, largest) = (limits.min_value, limits.max_value);
     let within = least..=largest;
@@ -148,7 +149,7 @@ fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
     None
 }
 
-/// The named device, if it is driven by position. Otherwise adds a finding at the key that names the device.
+/// Returns the id of the named device if it is driven by position. Otherwise, adds a finding at the key that names the device.
 pub(super) fn device_by_position(
     findings: &mut Reader,
     name: &str,
@@ -167,7 +168,7 @@ pub(super) fn device_by_position(
     found
 }
 
-/// The named sensor; if no sensor is named, the device itself.
+/// Returns the id of the named sensor or, if no sensor is named, of the device itself.
 pub(super) fn sensor_of(
     findings: &mut Reader,
     named: Option<&At<'_>>,

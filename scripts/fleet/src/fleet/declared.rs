@@ -5,18 +5,18 @@ use urrcp::{ControlType, Device, InitializationBlock, Limits};
 use super::FleetRobot;
 use downbeat_yaml::composed::is_same;
 
-/// The devices of a robot. Empty if the robot's initialization block is not known.
+/// Returns the devices of a robot. Empty if the robot's initialization block is not known.
 pub fn devices_of(robot: &FleetRobot) -> &[Device] {
     robot.init.as_ref().map_or(&[], |block| &block.devices)
 }
 
-/// The device with this name, regardless of the name's Unicode encoding.
+/// Returns the device with this name, whether the name is composed or decomposed in Unicode.
 pub(super) fn device_named<'a>(init: &'a InitializationBlock, name: &str) -> Option<&'a Device> {
     init.devices.iter().find(|device| is_same(device.id.as_str(), name))
 }
 
-/// The limits of the values that a script can set: the values within all limits of a control type ([`limits_of`]), on the coarser grid.
-/// If the type's own limits and those of scripts have no values in common, the type's own limits apply.
+/// Returns the limits of the values that a script can set for a control type: the range that all its limits ([`limits_of`]) have in
+/// common, with the coarsest granularity. If they have no values in common, the control type's own limits apply.
 pub fn settable_limits(device: &Device, control_type: ControlType) -> Option<Limits> {
     let own = device.available_control_types.limits(control_type)?;
     let all = || limits_of(device, control_type);
@@ -26,7 +26,7 @@ pub fn settable_limits(device: &Device, control_type: ControlType) -> Option<Lim
     Some(common.map_or_else(|_| own.clone(), |common| Limits { max_error: own.max_error, ..common }))
 }
 
-/// All limits that apply to a control type in a script: its own, and those of scripts.
+/// Returns all limits that apply to a control type in a script: its own, and those that the device declares for scripts.
 pub fn limits_of(device: &Device, control_type: ControlType) -> impl Iterator<Item = &Limits> {
     let own = device.available_control_types.limits(control_type);
     let inherited = device.available_control_types.script().map(|script| &script.limits);

@@ -1,4 +1,4 @@
-//! The key `drive` of a body: the devices that drive it by speed.
+//! Reads the key `drive` of a body, which lists the devices that determine the body's speed.
 
 use urrcp::InitializationBlock;
 

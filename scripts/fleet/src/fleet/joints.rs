@@ -1,4 +1,4 @@
-//! The keys `joints` and `tip` of a body, which describe its arm.
+//! Reads the keys `joints` and `tip` of a body, which describe its arm.
 
 use urrcp::InitializationBlock;
 
@@ -119,7 +119,7 @@ fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &Initializ
     })
 }
 
-/// Reads the position of a joint, from a device or fixed.
+/// Reads the position of a joint: either a device sets it, or it is fixed.
 fn read_value(
     findings: &mut Reader,
     at: &At<'_>,

@@ -22,9 +22,9 @@ use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// Maximum latency, and maximum spread of a latency.
+/// Maximum latency, and also maximum spread of a latency.
 const LATENCY_MAX: Span = Span::from_millis(10_000);
-/// Maximum number of trials that a file may state for one device.
+/// Maximum number of measured motions that a latency file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
 
 keys! {
@@ -74,7 +74,7 @@ keys! {
     }
 }
 
-/// The keys of latency files.
+/// Returns the declaration of the keys of latency files.
 #[must_use]
 pub fn latency_keys() -> &'static Declaration {
     FileKeys::declaration()
@@ -93,10 +93,10 @@ pub struct DeviceLatency {
     pub lag: Option<Lag>,
 }
 
-/// How a device follows its commands: by equal first-order lags in series.
+/// The lag with which a device follows its commands, modelled as equal first-order lags in series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lag {
-    /// The sum of the time constants of all lags: the time by which the device lags behind a ramp.
+    /// The sum of the time constants of all lags: the time by which the device lags behind a value that changes at constant speed.
     pub time_constant: Span,
     /// The number of lags in series. With 1, the device starts immediately at full speed towards the value; with 2, it starts softly.
     pub lags: u8,
@@ -112,7 +112,7 @@ pub const LAGS_MAX: u8 = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatencySource {
-    /// The robot's own key `latency` in the fleet file.
+    /// The key `latency` of the robot in the fleet file.
     Fleet,
     /// The file of measured latencies.
     File,
@@ -130,12 +130,12 @@ impl fmt::Display for LatencySource {
     }
 }
 
-/// The measured latency of one device.
+/// The measured latency of one device. Values that are not known are `None`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MeasuredLatency {
     /// The median time from a command to the first visible motion.
     pub median: Span,
-    /// 95 % of all measured latencies were within the median ± this.
+    /// Half-width of the interval around the median that contains 95 % of all measured latencies.
     pub spread: Option<Span>,
     /// The 95th percentile of the measured latencies.
     pub p95: Option<Span>,
@@ -145,7 +145,7 @@ pub struct MeasuredLatency {
     pub measured: Option<String>,
     /// The lag with which the device follows its commands.
     pub lag: Option<Lag>,
-    /// The time by which the device lags behind a ramp.
+    /// The time by which the device lags behind a value that changes at constant speed.
     pub tracking_lag: Option<Span>,
 }
 
@@ -164,7 +164,7 @@ pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
     if findings.is_empty() { Ok(file) } else { Err(findings) }
 }
 
-/// Like [`latency_file_of`], but reads a file that the user has named.
+/// Like [`latency_file_of`], but reads a file whose path the user has specified.
 ///
 /// # Errors
 /// Returns findings if the file cannot be read, and for the errors of [`latency_file_of`].
@@ -172,7 +172,7 @@ pub fn read_latency_file(path: &Path) -> Result<LatencyFile, Vec<Finding>> {
     latency_file_of(&Source::read(path).map_err(|finding| vec![finding])?)
 }
 
-/// The text of a file of measured latencies. [`latency_file_of`] reads it back.
+/// Formats measured latencies as the text of a file. [`latency_file_of`] reads it back.
 #[must_use]
 pub fn latency_text(file: &LatencyFile) -> String {
     let mut text = String::from("# Written by `downbeat calibrate`.\nlatency:\n");
@@ -206,7 +206,7 @@ fn entry(measured: &MeasuredLatency) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Reads the tree of a file of measured latencies.
+/// Reads the parsed contents of a file of measured latencies.
 pub(super) fn read_file(findings: &mut Reader, at: &At<'_>) -> LatencyFile {
     let mut file = LatencyFile::new();
     let keys = findings.keys(at, "the file of measured latencies");
@@ -311,7 +311,8 @@ fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
     Some(Latency { median, spread: spread.unwrap_or_default() })
 }
 
-/// The latency of each device: the latency in the fleet file, or else the measured one, or else the one that the robot declares.
+/// Returns the latency of each device: the one in the fleet file, or else the measured one, or else the one that the robot declares.
+/// Leaves out devices without a known latency.
 pub(super) fn read(
     findings: &mut Reader,
     keys: &RobotKeys<'_>,
@@ -334,7 +335,7 @@ pub(super) fn read(
     init.devices.iter().filter_map(of).collect()
 }
 
-/// The place of a robot, or of one of its devices, in the file of measured latencies.
+/// Returns the place of a robot, or of one of its devices, in the file of measured latencies.
 fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place {
     let of_file = Place { file, path: Vec::new(), key: true, within: None, used: None };
     let of_robot = of_file.of_key("latency").of_key(robot.as_str());
@@ -342,7 +343,7 @@ fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place
     Place { key: true, ..place }
 }
 
-/// Warns about robots in the file of measured latencies that the fleet does not have. This is not an error, because measured latencies
+/// Warns about robots that occur in the file of measured latencies but not in the fleet. This is not an error, because measured latencies
 /// outlive fleets.
 pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &LatencyFile, fleet: &Node) {
     let Node::Map(robots) = fleet else { return };
@@ -356,7 +357,7 @@ pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &Latenc
     }
 }
 
-/// Warns about devices in the file of measured latencies that the robot does not have.
+/// Warns about devices that occur in the file of measured latencies but that the robot does not have.
 pub(super) fn warn_of_devices(
     findings: &mut Reader,
     file: u16,

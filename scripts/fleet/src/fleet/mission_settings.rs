@@ -1,6 +1,6 @@
-//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`. `latency.rs` reads `latency`,
-//! and `calibration.rs` reads `calibrate`. The mission receives all of these as one struct, so a new key only has to be added here and
-//! where it is used.
+//! Reads the keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding` and `require`. `latency.rs` reads
+//! `latency`, and `calibration.rs` reads `calibrate`. The mission receives all of these in one struct, so a new key only has to be added
+//! here and where it is used.
 
 use std::collections::BTreeMap;
 
@@ -45,7 +45,7 @@ pub struct MissionSettings {
     pub encoding: Encoding,
     /// The readings that the robot's sensors must have before a mission.
     pub require: Vec<Requirement>,
-    /// For each device whose latency is known, the time from a command to visible motion.
+    /// For each device whose latency is known, the time from a command to the first visible motion.
     pub latencies: BTreeMap<DeviceId, DeviceLatency>,
     /// How the latency of the robot's devices may be measured, and which sensors show their positions.
     pub calibrate: BTreeMap<DeviceId, Calibration>,
@@ -72,7 +72,7 @@ pub enum ClockMode {
     /// The robot and the server follow NTP; measurements only verify that they do.
     #[default]
     Ntp,
-    /// The robot has no NTP: messages to it are converted to its own time.
+    /// The robot has no NTP. Times in messages to the robot are converted to the robot's own time.
     Measured,
 }
 
@@ -105,8 +105,8 @@ pub(super) fn read(
     }
 }
 
-/// Reads the encoding. If there is a handshake, the robot itself lists the encodings that it understands, so the block is not checked
-/// here.
+/// Reads the encoding of messages. Without a handshake, also checks that the initialization block lists the encoding. In a handshake, the
+/// robot itself lists the encodings that it understands.
 fn read_encoding(
     findings: &mut Reader,
     at: &At<'_>,

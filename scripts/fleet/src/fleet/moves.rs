@@ -1,4 +1,4 @@
-//! How the body of a simulated robot follows its devices: `moves` under `simulate`.
+//! Reads the key `moves` under `simulate`, which states how the body of a simulated robot follows its devices.
 
 use urrcp::{ControlType, DeviceId, InitializationBlock, Span};
 
@@ -33,15 +33,15 @@ pub struct SimulatedMoves {
     pub device: DeviceId,
     /// The time from setting a value to the first motion.
     pub latency: Span,
-    /// 95 % of all movements begin within `latency` ± this.
+    /// Half-width of the interval around `latency` within which 95 % of all movements begin.
     pub spread: Span,
-    /// The time constant of the first-order lag with which the body follows afterwards.
+    /// The time constant of the first-order lag with which the body follows the device after the first motion.
     pub time_constant: Span,
     /// The sensor that shows the position of the body; it may be the device itself.
     pub sensor: DeviceId,
     /// Standard deviation of the sensor's readings, in its unit.
     pub noise: f64,
-    /// The time that the sensor takes to respond. It reports the value at the time of the request.
+    /// The time that the sensor takes to respond. The response contains the value at the time of the request.
     pub delay: Span,
 }
 

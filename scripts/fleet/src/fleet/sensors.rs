@@ -1,4 +1,4 @@
-//! Sensors that are named in a fleet file.
+//! Finds the sensors that a fleet file names.
 
 use urrcp::{Device, DeviceId, InitializationBlock};
 
@@ -7,7 +7,8 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::{Code, Place, did_you_mean, one_of};
 use downbeat_yaml::shown::shortened;
 
-/// The sensor of the robot with the given name. Otherwise adds a finding at the key that names the sensor.
+/// Returns the id of the robot's sensor with the given name. If the robot has no such sensor, adds a finding at the key that names the
+/// sensor.
 pub fn sensor(
     findings: &mut Reader,
     name: &str,
@@ -17,7 +18,7 @@ pub fn sensor(
     sensor_at(findings, name, at.key_place(), init)
 }
 
-/// Like [`sensor`], but the finding is at a given place.
+/// Like [`sensor`], but adds the finding at a given place.
 pub(super) fn sensor_at(
     findings: &mut Reader,
     name: &str,

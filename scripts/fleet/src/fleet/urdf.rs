@@ -1,4 +1,4 @@
-//! The key `urdf` of a body: reads the body's arm from a URDF file.
+//! Reads the arm of a body from the URDF file that the key `urdf` specifies.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::project::Project;
 use downbeat_yaml::shown::shortened;
 
-/// The URDF files read so far, by path: many robots share a file.
+/// The URDF files read so far, by path, because many robots share a file.
 pub(super) struct Urdfs {
     folder: PathBuf,
     project: Project,
@@ -31,14 +31,14 @@ pub(super) struct UrdfKeys<'a> {
     pub(super) urdf: At<'a>,
     pub(super) end: Option<At<'a>>,
     pub(super) devices: Option<At<'a>>,
-    /// The radius of all links, in metres. `None` if the URDF gives the radius of each link.
+    /// The radius of all links, in metres. `None` if the URDF determines the radius of each link.
     pub(super) radius: Option<f64>,
 }
 
-/// The devices that move the joints, or the joints' fixed values, by joint name.
+/// For each joint name, the device that moves the joint, or the joint's fixed value.
 struct Movers<'a> {
     named: BTreeMap<&'a str, At<'a>>,
-    /// The number of names that are not joints of the URDF.
+    /// The number of names in `devices` that are not joints of the URDF.
     unknown: usize,
     init: &'a InitializationBlock,
 }
@@ -138,7 +138,7 @@ fn tell_no_chain(findings: &mut Reader, keys: &UrdfKeys<'_>, end: Option<&str>, 
     findings.add(Code::ImportShape, at.place(), message, expected, hint);
 }
 
-/// The radius of each link of the chain, in metres. Reports all links without a known radius in one finding.
+/// Returns the radius of each link of the arm, in metres. Reports all links without a known radius in one finding.
 fn radii(findings: &mut Reader, keys: &UrdfKeys<'_>, tree: &Tree, chain: &[&TreeJoint]) -> Option<Vec<f64>> {
     if let Some(radius) = keys.radius {
         return Some(vec![radius; chain.len()]);
@@ -184,12 +184,12 @@ impl<'a> Movers<'a> {
         Self { named, unknown, init }
     }
 
-    /// The name of the joint whose device moves `joint`: the joint that it mimics, or `joint` itself.
+    /// Returns the name of the joint whose device moves `joint`: the joint that `joint` mimics, or `joint` itself.
     fn leader(joint: &TreeJoint) -> &str {
         joint.mimic.as_ref().map_or(&joint.name, |mimic| &mimic.joint)
     }
 
-    /// Reports all joints of the arm without a device in one finding, unless names of joints are wrong.
+    /// Reports all joints of the arm without a device in one finding. Reports nothing if a joint name in `devices` is wrong.
     fn tell_missing(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, chain: &[&TreeJoint]) {
         let moving = chain.iter().filter(|joint| matches!(joint.motion, Motion::By(_)));
         let missing = moving.map(|joint| Self::leader(joint)).filter(|name| !self.has(name));
@@ -210,7 +210,8 @@ impl<'a> Movers<'a> {
         self.named.contains_key(joint) || device_named(self.init, joint).is_some()
     }
 
-    /// The position of a joint, from a device or fixed. `None` if it has a finding or its device is already reported as missing.
+    /// Returns the position of a joint: either a device sets it, or it is fixed. `None` if the position cannot be determined, in which
+    /// case a finding reports the fault.
     fn value(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, joint: &TreeJoint) -> Option<Coordinate> {
         let kind = match &joint.motion {
             Motion::Fixed => return Some(Coordinate::Fixed(0.0)),

@@ -1,8 +1,9 @@
-//! Converts the description of a Thrift robot to an initialization block. Its `devices` are a dictionary, with a range for each device.
+//! Converts the description of a Thrift robot to an initialization block. In such a description, `devices` is a dictionary with a range
+//! for each device.
 //!
-//! Missing values have defaults. A device is driven by position, and takes scripts of 1000 steps, two of them in advance. Its granularity
-//! is the largest power of ten that fits into its range a thousand times. Unknown keys, such as those of the robot's own software, are
-//! ignored.
+//! Missing values have defaults: a device is driven by position, and holds two scripts of at most 1000 steps each. Its default
+//! granularity is the largest power of ten that fits into its range a thousand times. Unknown keys, such as those of the robot's own
+//! software, are ignored.
 
 use serde_json::{Map, Value, json};
 use urrcp::{ControlType, Device, InitializationBlock, Label, RobotId, RobotType};
@@ -13,12 +14,13 @@ use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Default maximum number of steps per script. The edge plays the steps itself, and they take little memory there.
+/// Default maximum number of steps per script. The edge (the process that drives the robot's hardware) plays the steps itself, and there
+/// they take little memory.
 const STEPS: u32 = 1_000;
 /// Default number of scripts that a device holds: one plays while the next one waits.
 const QUEUE: u32 = 2;
 
-/// The protocol version that the edge of a Thrift robot has.
+/// The protocol version of the edge (the process that drives a Thrift robot).
 const API_VERSION: &str = "1";
 
 const SETTER: &str = "set_device_double_value";
@@ -40,7 +42,7 @@ fn value<'a>(node: &'a Node, key: &str) -> Option<&'a Node> {
     entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
 }
 
-/// The ids of the devices and sensors in a description.
+/// Returns the ids of the devices and sensors in a description.
 pub(super) fn device_ids(document: &Node) -> Vec<&str> {
     let named = ["devices", "sensors"].into_iter().filter_map(|key| value(document, key));
     let entries = named.filter_map(|node| match node {
@@ -50,7 +52,7 @@ pub(super) fn device_ids(document: &Node) -> Vec<&str> {
     entries.flatten().map(|(id, _)| id.as_str()).collect()
 }
 
-/// The value of a key; `None` if it is missing or null.
+/// Returns the value of a key; `None` if the key is missing or its value is null.
 fn at<'a>(parent: &'a At<'a>, key: &'a str) -> Option<At<'a>> {
     value(parent.node, key).filter(|node| **node != Node::Null).map(|node| parent.entry(key, 0, node))
 }
@@ -119,7 +121,7 @@ fn valid<T>(
     .ok()
 }
 
-/// Parses a robot type, in upper or lower case.
+/// Parses a robot type, in upper or lower case. An unknown type is [`RobotType::Other`].
 fn robot_type(text: &str) -> RobotType {
     match text.to_ascii_lowercase().as_str() {
         "industrial" => RobotType::Industrial,
@@ -187,7 +189,8 @@ fn device(
     serde_json::from_value(device).map_err(|error| invalid(findings, at_device, &error.to_string())).ok()
 }
 
-/// Reports a missing range. A sensor that responds with a text has no range and cannot be read as a number: it is left out.
+/// Reports a missing range. Reports nothing for a sensor that responds with text: it has no range, and is left out because it cannot be
+/// read as a number.
 fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
     if call == READERS[1] {
         return;
@@ -223,8 +226,8 @@ fn driven(min: f64, max: f64, added: &Supplement) -> Value {
     Value::Object(types.into_iter().collect::<Map<_, _>>())
 }
 
-/// The default granularity: the largest power of ten that fits into the range a thousand times. Values that people write lie on that
-/// grid.
+/// Returns the default granularity: the largest power of ten that fits into the range a thousand times. Values that people write are
+/// multiples of it.
 fn granularity(min: f64, max: f64) -> f64 {
     let thousandth = (max - min) / 1_000.0;
     if !thousandth.is_normal() || thousandth < 0.0 {

@@ -1,4 +1,4 @@
-//! Finds the faults of an initialization block device by device, so that all faults are reported at once and at their places.
+//! Finds the faults of an initialization block device by device, so that all faults are reported together, each at its place.
 
 use serde::de::DeserializeOwned;
 use serde_yaml::{Mapping, Value};
@@ -14,7 +14,7 @@ use downbeat_yaml::render::counted;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// The faults of the block itself, of its devices and of their control types. Empty if the block is not a map.
+/// Returns the faults of an initialization block, of its devices and of their control types. Empty if the text is not a map.
 pub(super) fn of(source: &Source) -> Vec<Finding> {
     let Ok(Value::Mapping(block)) = serde_yaml::from_str::<Value>(&source.text) else { return Vec::new() };
     let mut findings = Reader::default();
@@ -85,7 +85,7 @@ fn by_id(findings: &mut Reader, devices: &Mapping) {
     }
 }
 
-/// A minimal valid device, as a substitute.
+/// Returns a minimal valid device. It replaces the real devices while the other keys of the block are checked.
 fn any_device() -> Mapping {
     [("id", Value::from("any")), ("available_control_types", Mapping::new().into())]
         .map(|(key, value)| (key.into(), value))
@@ -145,7 +145,8 @@ fn of_device(findings: &mut Reader, place: &Place, device: &Mapping) {
     check_as::<InitializationBlock>(findings, &Whose::of(&whose, Level::Device), place, &block, device);
 }
 
-/// Checks each control type separately, then all together, because a script inherits values from the other control types.
+/// Checks each control type except `script` separately. If all are valid, checks `script` together with the others, because a script
+/// inherits values from them.
 fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &Mapping) {
     let before = findings.found.len();
     let whose =
@@ -164,7 +165,7 @@ fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &
     }
 }
 
-/// The map that is being checked: its name in messages and its kind.
+/// The map that is being checked: the name that messages use for it, and its kind.
 struct Whose {
     name: String,
     level: Level,
@@ -180,8 +181,8 @@ fn check<T: DeserializeOwned>(findings: &mut Reader, whose: &Whose, place: &Plac
     check_as::<T>(findings, whose, place, map, map);
 }
 
-/// Checks that a map can be deserialized. A fault is reported at the key that serde's message names, or whose value it names; otherwise
-/// at the key that leads to the map.
+/// Checks that a map can be deserialized. If serde's error message contains a key of the map or its value, the finding is at that key.
+/// Otherwise, the finding is at the key that contains the map.
 fn check_as<T: DeserializeOwned>(
     findings: &mut Reader,
     whose: &Whose,
@@ -214,7 +215,7 @@ fn check_as<T: DeserializeOwned>(
     add(findings, place, message, &expected, hint);
 }
 
-/// Reports a missing key. If the map has a misspelling of that key, the finding is there.
+/// Reports a missing key. If the map contains a misspelling of that key, the finding is at the misspelling.
 fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str, keys: &Mapping) {
     let message = format!("{} has no `{missing}`", whose.name);
     let written =
@@ -239,7 +240,7 @@ fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str
     add(findings, place, message, &format!("a key `{missing}`"), hint);
 }
 
-/// Converts a message of serde to the wording of other findings.
+/// Rewords an error message of serde in the style of other findings. Returns the message, the expectation and a hint.
 fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, String, Option<String>) {
     let number = |text: &str| {
         let digits = text.trim_end_matches(|c: char| !c.is_ascii_digit()).trim().replacen(',', ".", 1);

@@ -1,4 +1,4 @@
-//! The keys of an initialization block, and similar keys that a robot ignores.
+//! The keys of an initialization block, and hints for similar but unknown keys, which a robot ignores.
 
 use serde_yaml::{Mapping, Value};
 
@@ -14,7 +14,7 @@ pub(super) enum Level {
     Block,
     Device,
     ControlTypes,
-    /// The control type position, speed or acceleration.
+    /// The control type `position`, `speed` or `acceleration`.
     Motion,
     Script,
     Sensor,
@@ -89,8 +89,8 @@ impl Level {
     }
 }
 
-/// Synonyms for keys: the map that has the key, the synonyms, and the key. Synonyms for keys of a motion also apply to scripts and
-/// sensors.
+/// Synonyms that users may write instead of a key: the kind of map, the synonyms, and the correct key. Synonyms for keys of
+/// [`Level::Motion`] also apply to scripts and sensors.
 const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Block, &["joints", "motors", "axes", "actuators", "servos", "channels"], "devices"),
     (Level::Block, &["api", "protocol", "protocol_version"], "api_version"),
@@ -132,7 +132,7 @@ const SPEEDS: [&str; 9] = [
 const RANGES: [&str; 4] = ["range", "bounds", "limits", "interval"];
 const ENDS: [&str; 6] = ["min", "max", "min_value", "max_value", "lower", "upper"];
 
-/// Advice for an unknown key for which no single key can be used instead.
+/// Returns advice for an unknown key that no single known key can replace.
 pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     let is_motion = matches!(level, Level::Motion | Level::Script | Level::Sensor);
     if is_motion && RANGES.contains(&key) {
@@ -158,7 +158,7 @@ pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     })
 }
 
-/// The known key of a map that the user probably meant by an unknown key.
+/// Returns the known key that the user probably meant by an unknown key of a map.
 pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     let known = level.keys();
     if known.contains(&key) {
@@ -174,8 +174,8 @@ pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     word.or_else(|| near.or_else(|| known.iter().find(|name| name.split('_').next() == Some(key))).copied())
 }
 
-/// Warnings about keys without effect: misplaced and misspelt keys. Keys that resemble no known key belong to the robot's own software
-/// and cause no warning.
+/// Returns warnings about keys that have no effect because they are misplaced or misspelt. Keys that resemble no known key belong to the
+/// robot's own software and cause no warning.
 pub(super) fn ignored(source: &Source) -> Vec<Finding> {
     let Ok(Value::Mapping(block)) = serde_yaml::from_str::<Value>(&source.text) else { return Vec::new() };
     let mut findings = Reader::default();

@@ -42,7 +42,7 @@ const CONTROL_TYPES: [(&str, ControlType); 3] = [
 const INTERPOLATIONS: [(&str, Interpolation); 2] =
     [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
 
-/// The values that complete the description of a device. `None` if the fleet file gives no value.
+/// The values that complete the description of a device. Each is `None` if the fleet file does not contain it.
 #[derive(Clone, Debug, Default)]
 pub struct Supplement {
     pub(super) control_type: Option<ControlType>,
@@ -58,13 +58,13 @@ pub struct Supplement {
 }
 
 impl Supplement {
-    /// An empty list of supplements.
+    /// Returns an empty list of supplements.
     pub const fn none() -> [(String, Self); 0] {
         []
     }
 }
 
-/// Reads `devices:` of a robot. `known` are the ids of the devices in its description.
+/// Reads the key `devices` of a robot. `known` contains the ids of the devices in the robot's description.
 pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
     let mut read = Vec::new();
     for (device, at) in findings.entries(at, "device to the keys missing from its description") {

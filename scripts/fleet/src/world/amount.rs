@@ -46,8 +46,8 @@ named! {
     ]);
 }
 
-/// A random value with uniform distribution. It is drawn once per trial, or once per message if it belongs to a message. The value is
-/// fixed if both bounds are equal.
+/// A random value with uniform distribution, or a fixed value if both bounds are equal. The value is drawn once per trial (one simulation
+/// of the mission), or once per message if it is a property of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Between<T> {
     /// The lower bound.
@@ -57,7 +57,7 @@ pub struct Between<T> {
 }
 
 impl<T: Copy> Between<T> {
-    /// An amount that is not random.
+    /// Creates an amount that is not random.
     #[must_use]
     pub const fn fixed(value: T) -> Self {
         Self { least: value, largest: value }

@@ -48,12 +48,13 @@ const WHAT_WORDS: [(&str, What); 4] = [
 /// A fault of robots or of their links.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Incident {
-    /// The affected robots, as indices into the fleet. Whether and when the incident happens is drawn separately for each robot.
+    /// The affected robots, as indices into the fleet. Whether and when the incident happens is random, and drawn separately for each
+    /// robot.
     pub robots: Vec<usize>,
     /// The kind of fault.
     pub trouble: Trouble,
-    /// The act from whose planned start the time `at` counts, as planned when the act is first sent. `None` if the time counts from the
-    /// beginning of the mission. A refusal applies from the time at which the act is sent.
+    /// The act whose start is the reference for the time `at`: the start as planned when the act is first sent. `None` if `at` counts
+    /// from the beginning of the mission. A refusal applies from the time at which the act is sent.
     pub act: Option<String>,
     /// The time of the fault, counted from the start of `act` or of the mission.
     pub at: Between<Span>,
@@ -86,7 +87,7 @@ pub enum Trouble {
     },
 }
 
-/// Reads the other keys of an incident whose robots and act are already read.
+/// Reads the remaining keys of an incident, after its robots and its act have been read.
 pub(super) fn read(
     findings: &mut Reader,
     whole: &At<'_>,

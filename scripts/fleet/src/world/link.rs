@@ -77,7 +77,7 @@ pub struct LinkWorld {
 }
 
 impl LinkWorld {
-    /// A link that only delays messages.
+    /// Creates a link that only delays messages, without jitter, losses or interruptions.
     #[must_use]
     pub const fn with_delay(delay: Delay) -> Self {
         Self { delay, jitter: Span::ZERO, loss: 0.0, resent_after: RESENT_AFTER, interruptions: Vec::new() }
@@ -89,11 +89,11 @@ impl LinkWorld {
 pub enum Delay {
     /// A delay that is random for each message, with uniform distribution.
     Between(Between<Span>),
-    /// The delays at [`QUANTILES`], with linear interpolation between them.
+    /// The delays at the quantiles [`QUANTILES`], with linear interpolation between them.
     Quantiles([Span; 5]),
 }
 
-/// Random times at which no messages pass on a link. The time from the start of one interruption to the start of the next is
+/// Random interruptions of a link, during which no messages pass. The time from the start of one interruption to the start of the next is
 /// exponentially distributed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interruptions {

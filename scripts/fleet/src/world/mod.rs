@@ -1,5 +1,6 @@
-//! The world file: the conditions of a simulated mission. Links delay, lose messages and are interrupted; clocks are off; robots die,
-//! stall and refuse; sensors show readings; the operator hesitates. Each of these is fixed or random. `docs/world.md` describes the keys.
+//! The world file: the conditions of a simulated mission. Links delay and lose messages, and are interrupted; clocks deviate; robots die,
+//! stall, or refuse movements; sensors show readings; the operator hesitates. Each of these is fixed or random. `docs/world.md` describes
+//! the keys.
 
 mod amount;
 mod incident;
@@ -51,7 +52,7 @@ keys! {
     }
 }
 
-/// The name of an entry for all robots that have neither an entry of their own nor one of a group.
+/// The name of an entry that applies to all robots without an entry of their own or of their group.
 const ALL: &str = "all";
 
 /// The conditions of a simulated mission.
@@ -65,13 +66,13 @@ pub struct World {
     pub clocks: Vec<Option<ClockWorld>>,
     /// The readings of sensors, each with its robot and sensor.
     pub sensors: Vec<SensorWorld>,
-    /// How the operator behaves. `None` if the operator says go after 1 s.
+    /// The behaviour of the operator. `None` if the operator gives the go (the signal to start) after 1 s.
     pub operator: Option<OperatorWorld>,
     /// The incidents, in the order of the file.
     pub incidents: Vec<Incident>,
 }
 
-/// The keys of world files.
+/// Returns the declaration of the keys of world files.
 #[must_use]
 pub fn world_keys() -> &'static Declaration {
     WorldKeys::declaration()
@@ -126,8 +127,8 @@ impl WorldReader<'_> {
         })
     }
 
-    /// Reads entries by robot, by group, or `all`. A robot's own entry takes precedence over an entry of its group, which takes
-    /// precedence over `all`. Among groups, the last entry applies.
+    /// Reads a map whose keys are robots, groups, or `all`. A robot's own entry takes precedence over an entry of its group, which takes
+    /// precedence over `all`. If several groups contain the robot, the last entry applies.
     fn per_robot<T: Clone>(
         &mut self,
         at: &At<'_>,
@@ -151,7 +152,7 @@ impl WorldReader<'_> {
         found.into_iter().map(|(_, value)| value).collect()
     }
 
-    /// The robots that a name refers to, and a rank: 3 for a robot, 2 for a group, 1 for `all`.
+    /// Returns the rank of a name (3 for a robot, 2 for a group, 1 for `all`) and the indices of the robots that it denotes.
     fn named(&self, name: &str) -> Option<(u8, Vec<usize>)> {
         let robots = &self.fleet.robots;
         let of = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);

@@ -48,7 +48,7 @@ pub struct ClockWorld {
     pub offset: Option<Between<Span>>,
     /// How much faster the raw clock runs than true time, in parts per million.
     pub drift_ppm: Option<Between<f64>>,
-    /// Largest error of the clock if it follows NTP, in either direction.
+    /// Largest error of the clock, in either direction, if it follows NTP.
     pub error: Option<Span>,
 }
 
@@ -66,19 +66,19 @@ pub struct SensorWorld {
 /// The readings of a sensor, in its unit.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reading {
-    /// A constant reading, which is drawn once per trial.
+    /// A constant reading, which is drawn once per trial (one simulation of the mission).
     Drawn(Between<f64>),
-    /// Times from the beginning of the mission, each with the reading from that time on. Times and readings are drawn once per trial.
-    /// Before the first time, the reading is 0.
+    /// Times from the beginning of the mission, each with the reading from that time on. Times and readings are drawn once per trial (one
+    /// simulation of the mission). Before the first time, the reading is 0.
     OverTime(Vec<(Between<Span>, Between<f64>)>),
 }
 
-/// How the operator behaves.
+/// The behaviour of the operator in a world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OperatorWorld {
-    /// The time that the operator takes to say go, for each act that waits.
+    /// For each act that waits for the operator, the time that the operator takes to give the go (the signal to start).
     pub go_after: Between<Span>,
-    /// For each act that waits, the probability that the operator never says go.
+    /// For each act that waits for the operator, the probability that the operator never gives the go (the signal to start).
     pub never: f64,
 }
 
@@ -105,7 +105,8 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
     })
 }
 
-/// Reads readings: a number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, whose elements may be random as well.
+/// Reads the readings of a sensor: a number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`. In the list, times and numbers may
+/// be random, too.
 pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
     let number =
         |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");

@@ -3,7 +3,7 @@
 use super::{ALL, fixture_of, refused};
 use crate::{ImportFormat, ImportOptions, Scenes, import_bytes, scenario_text};
 
-/// The scenario for a text, and the notes of the import.
+/// Imports `bytes`, and returns the scenario as text and the notes of the import.
 fn written(format: ImportFormat, bytes: &[u8], rate_hz: Option<f64>) -> (String, Vec<String>) {
     let columns = match format {
         ImportFormat::Csv => vec![("r/a".to_owned(), "a".to_owned())],

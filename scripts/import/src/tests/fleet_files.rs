@@ -1,4 +1,4 @@
-//! Drones get a body and a distance, so that `check` compares their paths.
+//! Imported drones get a body and a minimum distance, so that `check` detects paths that come too close.
 
 use super::{CRAZYSWARM, WAYPOINTS, fixture_of};
 use crate::{ImportFormat, ImportOptions, ImportOutcome, Scenes, files_of, import_bytes};

@@ -1,4 +1,4 @@
-//! Light sequences: compressed and plain, complete and in ranges.
+//! Light sequences: compressed or not, with all channels or only some ranges of channels.
 
 use super::{fixture_of, keyframes_of};
 use crate::{Course, ImportFormat, ImportOptions, ImportOutcome, import_bytes};
@@ -16,7 +16,7 @@ fn refused(bytes: &[u8], maps: &[(&str, &str)], part: &str) {
     assert!(outcome.imported.is_none() && text.contains(part), "{text}");
 }
 
-/// A file with one channel, without compression.
+/// Returns the bytes of an uncompressed file with one channel.
 fn plain(frames: &[u8]) -> Vec<u8> {
     let mut bytes = b"PSEQ\x20\0\0\x02\x20\0".to_vec();
     bytes.extend(1_u32.to_le_bytes());

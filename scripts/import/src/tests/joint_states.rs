@@ -1,4 +1,4 @@
-//! Recordings: the output of another program (the Python package mcap-ros2-support), compressed data, and invalid data.
+//! ROS recordings: files that another program has written (the Python package mcap-ros2-support), compressed files, and invalid files.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};

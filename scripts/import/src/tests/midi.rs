@@ -47,7 +47,7 @@ fn files_that_are_no_songs_are_refused() {
     refused(ImportFormat::Midi, long, &["DB0062", "the file lasts"]);
 }
 
-/// A file with one track of these events.
+/// Returns the bytes of a MIDI file whose only track has these events.
 fn song(events: &[u8]) -> Vec<u8> {
     let length = u32::try_from(events.len()).unwrap().to_be_bytes();
     [b"MThd\0\0\0\x06\0\0\0\x01\0\x60MTrk".as_slice(), &length, events].concat()

@@ -1,4 +1,4 @@
-//! Compiled drone shows: their contents are imported, and archives with false statements are rejected.
+//! Compiled drone shows: their contents are imported, and archives that contradict themselves are rejected.
 
 use std::io::{Cursor, Write};
 
@@ -43,7 +43,8 @@ fn refused(bytes: &[u8], parts: &[&str]) {
     assert!(parts.iter().all(|part| text.contains(part)), "{text}");
 }
 
-/// The point of a Bezier curve by its geometric construction (de Casteljau), independent of the importer's powers.
+/// Returns the point of a Bezier curve at `share` (0 to 1) by de Casteljau's geometric construction. The importer computes it
+/// differently, with polynomials.
 fn drawn(points: &[f64], share: f64) -> f64 {
     let mut points = points.to_vec();
     while points.len() > 1 {

@@ -1,4 +1,4 @@
-//! An independent model of tables: random whole numbers, written in all notations of times, and compared with the import.
+//! Compares the import of tables with an independent model: random whole numbers, with times in every supported notation.
 
 use proptest::prelude::*;
 use urrcp::Span;
@@ -7,7 +7,7 @@ use super::keyframes_of;
 
 use crate::{Course, DeviceMotion, ImportFormat, ImportOptions, TimeUnit, import_bytes};
 
-/// The notation of the times.
+/// The notation in which the times of a table are written.
 #[derive(Clone, Copy, Debug)]
 enum Clock {
     Millis,
@@ -50,7 +50,7 @@ impl Clock {
         matches!(self, Self::Frames | Self::Timecode)
     }
 
-    /// The resolution of the notation, in microseconds.
+    /// Returns the smallest difference between times that the notation can express, in microseconds.
     fn step_us(self) -> u64 {
         match self {
             Self::Frames | Self::Timecode => FRAME_US,
@@ -88,7 +88,7 @@ enum Column {
     Straight(Vec<Option<i64>>),
     Held(Vec<Option<i64>>),
     Several(Vec<[i64; 3]>),
-    /// Whole numbers that wrap around with a period of 359.
+    /// Whole numbers that wrap around with a period of 359 ([`PERIOD`]).
     Wrapped(Vec<i64>),
 }
 
@@ -96,9 +96,9 @@ enum Column {
 struct Table {
     clock: Clock,
     separator: char,
-    /// Whether numbers have decimal commas; then commas do not separate cells.
+    /// Whether numbers are written with decimal commas. Commas do not separate cells then.
     commas: bool,
-    /// In microseconds.
+    /// The time of each line, in microseconds.
     times: Vec<u64>,
     columns: Vec<(Column, Option<i64>)>,
 }
@@ -110,7 +110,7 @@ fn quarters(value: i64) -> f64 {
 }
 
 impl Table {
-    /// The text, and the options that map its columns.
+    /// Returns the table as text, and the import options that assign its columns to devices.
     fn written(&self) -> (String, ImportOptions) {
         let mut options = ImportOptions { time_unit: self.clock.unit(), ..ImportOptions::default() };
         options.time_column = Some(self.clock.header().to_owned());
@@ -152,7 +152,7 @@ impl Table {
         (joined.join("\n"), options)
     }
 
-    /// The expected motion of a device: times, and values with their factors.
+    /// Returns the expected motion of a device: the times in microseconds, and the values multiplied by the scale.
     fn meant(&self, column: &Column, scale: Option<i64>) -> Vec<(u64, Vec<f64>)> {
         let scaled = |value: f64| value * scale.map_or(1.0, quarters);
         let timed = |values: &[Option<i64>]| {
@@ -185,7 +185,7 @@ impl Table {
     }
 }
 
-/// For held values: only the values that change, and the last one.
+/// Keeps the first and the last row, and each row whose values differ from those of the previous row.
 fn changes(all: Vec<(u64, Vec<f64>)>) -> Vec<(u64, Vec<f64>)> {
     let last = all.len() - 1;
     let kept = |index: usize| index == 0 || index == last || all[index].1 != all[index - 1].1;

@@ -1,4 +1,4 @@
-//! Descriptions of robots: an initialization block, compared with the results of another parser (urdf-rs).
+//! URDF files: the initialization block that is created from one, compared with the results of another parser (urdf-rs).
 
 use super::fixture_of;
 use downbeat_yaml::source::Source;

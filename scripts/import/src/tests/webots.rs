@@ -1,4 +1,4 @@
-//! Webots' motions: values, `*`, and errors.
+//! Webots' motions: values, `*` in place of a value, and errors.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};

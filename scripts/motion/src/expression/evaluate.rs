@@ -12,7 +12,7 @@ pub trait Known {
     /// The value of a variable.
     fn variable(&mut self, name: &str, span: Span) -> Result<Quantity, Fault>;
 
-    /// Converts a time with musical parts to nanoseconds on the clock.
+    /// Converts a time that may contain bars and beats to nanoseconds of clock time.
     fn on_the_clock(&self, amount: &Amount, span: Span) -> Result<Num, Fault>;
 }
 
@@ -105,10 +105,10 @@ fn of_two(two: Two, left: Quantity, right: Found, span: Span, known: &dyn Known)
     }
 }
 
-/// Selects the number, the bars or the beats of an amount.
+/// A function that returns the number, the bars or the beats of an amount.
 type Part = fn(&Amount) -> Num;
 
-/// Two amounts as comparable numbers: both in beats or both in bars if that is their only unit, otherwise both in clock time.
+/// Converts two amounts to comparable numbers: beats or bars if that is the only unit of both amounts, otherwise clock time.
 fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(Num, Num), Fault> {
     let only = |of: Part, others: [Part; 2]| {
         let alone = |amount: &Amount| others.iter().all(|other| other(amount).is_zero());
@@ -225,14 +225,14 @@ pub(super) fn same_unit(two: Two, a: Unit, b: Unit, span: Span) -> Result<Unit, 
     Err(Fault::new(span, message, "two values of the same kind").hint_or(hint))
 }
 
-/// The common unit of all arguments, which must be equal.
+/// Returns the unit of all arguments, or a fault if their units differ.
 pub(super) fn common_unit(units: &[Unit], span: Span) -> Result<Unit, Fault> {
     let first = units.first().copied().unwrap_or(Unit::PLAIN);
     units.iter().try_for_each(|unit| same_unit(Two::Less, first, *unit, span).map(drop))?;
     Ok(first)
 }
 
-/// Reports an argument that is not a plain number.
+/// Returns a fault if an argument of the function `name` is not a plain number.
 pub(super) fn plain_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault> {
     if unit == Unit::PLAIN {
         return Ok(());
@@ -242,7 +242,7 @@ pub(super) fn plain_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault
     Err(Fault::new(span, message, "a plain number").hint_or(hint))
 }
 
-/// Reports an argument that is not an angle: plain numbers are degrees.
+/// Returns a fault if an argument of the function `name` is not an angle. Plain numbers are angles in degrees.
 pub(super) fn angle_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault> {
     if unit == Unit::PLAIN || unit == Unit::ANGLE {
         return Ok(());

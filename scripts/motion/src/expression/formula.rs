@@ -9,7 +9,7 @@ use super::unit::Unit;
 use super::{Amount, Fault, Quantity};
 use crate::chance::share;
 
-/// A formula of time, in seconds since the start of its track.
+/// A formula whose variable is the time in seconds since the start of its track.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Formula {
     pub(super) steps: Arc<[Operation]>,
@@ -93,7 +93,7 @@ impl Formula {
         Ok(Self { steps: maker.steps.into() })
     }
 
-    /// The value of the formula after `seconds`; NaN if the formula has no value there.
+    /// Returns the value of the formula `seconds` after the start of its track; NaN if the formula has no value there.
     pub fn at(&self, seconds: f64) -> f64 {
         let mut stack: Vec<f64> = Vec::with_capacity(8);
         for step in self.steps.iter() {

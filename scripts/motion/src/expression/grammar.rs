@@ -109,7 +109,7 @@ pub struct Expression {
 }
 
 impl Expression {
-    /// The names of the variables that the expression uses, each with its characters.
+    /// The names of the variables that the expression uses, each with its range of characters in the text.
     pub fn variables(&self) -> impl Iterator<Item = (&str, Span)> {
         self.steps.iter().filter_map(|(step, span)| match step {
             Step::Variable(name) => Some((name.as_str(), *span)),
@@ -180,7 +180,7 @@ impl Parser<'_> {
         word.chars().enumerate().all(|(index, c)| self.chars.get(self.at + index) == Some(&c))
     }
 
-    /// Skips a sign and the following spaces.
+    /// Skips a sign and the spaces after it. Returns the characters of the sign; `None` if the text continues with something else.
     fn take(&mut self, sign: &str) -> Option<Span> {
         if !self.starts_with(sign) {
             return None;
@@ -364,7 +364,7 @@ impl Parser<'_> {
         .hint_or(hint)
     }
 
-    /// A hint for a decimal comma, as in `1,5`.
+    /// Returns the hint to write a decimal point instead of a decimal comma, as in `1,5`. `None` if the comma is not between digits.
     fn comma_hint(&self) -> Option<String> {
         let digit = |c: &&char| c.is_ascii_digit();
         let after: String = self.chars.get(self.at + 1..)?.iter().take_while(digit).collect();
@@ -508,7 +508,7 @@ impl Parser<'_> {
             && follows(1).is_some_and(|c| c.is_ascii_digit())
     }
 
-    /// Whether a `%` directly after a number is a percent sign, not an operator: it is not followed by a divisor.
+    /// Whether a number is followed by a percent sign. If a divisor follows the `%`, it is an operator instead.
     fn is_percentage(&self) -> bool {
         if self.peek() != Some('%') {
             return false;
@@ -543,7 +543,7 @@ impl Parser<'_> {
         Ok(amount)
     }
 
-    /// The beats that follow the bars in `1 bar 2 beats`, and the number of characters of that part. `None` if there are none.
+    /// Returns the beats that follow the bars in `1 bar 2 beats`, and the number of characters of that part. `None` if no beats follow.
     fn beats_after(&self, bar: bool) -> Option<(Num, usize)> {
         let rest: String = self.chars.get(self.at..).filter(|_| bar)?.iter().collect();
         let digits = rest.find(|c: char| !(c.is_ascii_digit() || c == '.'))?;
@@ -556,7 +556,7 @@ impl Parser<'_> {
     }
 }
 
-/// Parses a number without a unit; the result is exact if the number is short.
+/// Parses a number without a unit; the result is exact if the number is short. `None` if the text is not a number.
 fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
     if let Some(number) = decimal(text) {
         return Ok(Some(Num::fraction(number)));

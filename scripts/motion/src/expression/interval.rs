@@ -103,7 +103,8 @@ impl Jet {
         }
     }
 
-    /// A function of this jet, by the chain rule. `value`, `first` and `second` are the bounds of the function and of its derivatives.
+    /// Applies a function to this jet, by the chain rule. `value`, `first` and `second` are the bounds of the function and of its first
+    /// two derivatives.
     fn through(&self, value: Bounds, first: Bounds, second: Bounds) -> Self {
         Self {
             value,
@@ -186,7 +187,7 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
     (jet.value.is_finite() && jet.slope.is_finite() && jet.curvature.is_finite()).then_some(jet)
 }
 
-/// The result of `and` or `or` if one side alone decides it.
+/// Returns the result of `and` or `or` if one side alone decides it; otherwise, and for other operators, `None`.
 fn logical(two: Two, a: Option<Jet>, b: Option<Jet>) -> Option<Option<Jet>> {
     let decides = match two {
         Two::And => 0.0,

@@ -159,8 +159,8 @@ impl Fault {
     }
 }
 
-/// Whether the user means a text as an expression where a number, a time or a truth value is expected. Such a text contains a variable,
-/// an operator or a bracket, or is a constant.
+/// Whether a text is meant as an expression, where a number, a time or a truth value is expected: it contains a variable, an operator or
+/// a bracket, or is a constant.
 pub fn is_one(text: &str) -> bool {
     let text = text.trim();
     let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'));
@@ -172,8 +172,8 @@ pub fn is_one(text: &str) -> bool {
         || text.starts_with("not ")
 }
 
-/// Whether the value of a variable or a parameter is an expression that must be evaluated at once, because it uses other variables. Texts
-/// that merely contain a `$` are plain texts.
+/// Whether the value of a variable or a parameter is an expression that must be evaluated at once, because it uses other variables. A
+/// text that merely contains a `$` is a plain text.
 pub fn names_variables(text: &str) -> bool {
     let text = text.trim();
     let names = text

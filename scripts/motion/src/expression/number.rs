@@ -14,7 +14,7 @@ const BITS_MAX: u32 = 110;
 pub enum Num {
     /// A fraction, without rounding.
     Exact(Fraction),
-    /// A rounded number.
+    /// A number that is rounded to a double.
     Real(f64),
 }
 
@@ -37,7 +37,7 @@ impl Num {
         Self::kept(Fraction::from_integer(value))
     }
 
-    /// A fraction.
+    /// Creates a number from a fraction. A fraction that is too long becomes a double.
     pub fn fraction(value: Fraction) -> Self {
         Self::kept(value)
     }
@@ -67,7 +67,7 @@ impl Num {
         }
     }
 
-    /// The fraction; for doubles, the nearest one with few decimal digits.
+    /// Returns the number as a fraction. For a double, it is the nearest fraction with few decimal digits.
     pub fn as_fraction(self) -> Fraction {
         match self {
             Self::Exact(value) => value,

@@ -10,14 +10,14 @@ use super::interval::jet;
 const PIECES_MAX: usize = 4_096;
 /// Maximum number of intervals that are examined to cut one formula.
 const LOOKS_MAX: usize = 100_000;
-/// Largest allowed ratio between the bound of a curvature and the largest sampled curvature.
+/// Largest allowed ratio of a piece's bound on the curvature to the largest curvature that was sampled.
 const LOOSE: f64 = 1.5;
-/// A smooth piece that is shorter than the formula's duration divided by this is not cut to improve its bounds.
+/// Divisor of a formula's duration: a smooth piece that is shorter than the quotient is not cut to improve its bounds.
 const SHORTEST_PART: i64 = 512;
-/// Largest bending of a piece: its length times the square root of its curvature over its range of values. One period of a sine has the
-/// bending 4.4. Longer pieces would need more samples than are fitted together.
+/// Largest bending of a piece. The bending is the piece's length times the square root of the ratio of its curvature to its range of
+/// values; one period of a sine has the bending 4.4. A piece with more bending would need more samples than are fitted together.
 const BENDS_MAX: f64 = 40.0;
-/// Largest bending of all pieces together: about ten thousand periods of a sine.
+/// Largest bending ([`BENDS_MAX`]) of all pieces together: about ten thousand periods of a sine.
 const BENDS_IN_ALL_MAX: f64 = 45_000.0;
 /// Largest absolute value of a formula; larger ones are invalid.
 const VALUE_MAX: f64 = 1e12;
@@ -32,11 +32,11 @@ pub struct Piece {
     /// Upper bounds of the absolute slope, in units per second, and of the second derivative. `None` for a piece of one or two
     /// nanoseconds that contains a corner or a jump.
     pub rates: Option<(f64, f64)>,
-    /// The lowest and the highest value of the piece, as bounds.
+    /// The lower and the upper bound of the piece's values.
     values: (f64, f64),
 }
 
-/// The reason why a formula is not a movement.
+/// The reason why a formula cannot be used as a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
     /// The formula has no valid value at this time.
@@ -90,7 +90,8 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     }
 }
 
-/// The bending of a piece, given its length in nanoseconds, its curvature and its range of values ([`BENDS_MAX`]).
+/// Returns the bending of a piece (see [`BENDS_MAX`]), given its length in nanoseconds, its curvature and its range of values
+/// ([`BENDS_MAX`]).
 fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
     if curvature == 0.0 {
         0.0
@@ -106,7 +107,7 @@ impl Piece {
     }
 }
 
-/// Appends a piece, or extends the last piece of `done` if the two are similar.
+/// Appends a piece to `done`. If the last piece of `done` is similar, extends that piece instead.
 fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
     if let Some(last) = done.last_mut() {
         let values = (last.values.0.min(piece.values.0), last.values.1.max(piece.values.1));
@@ -137,7 +138,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
     done.push(piece);
 }
 
-/// Whether two pieces that meet at this time form no corner.
+/// Whether two pieces that meet at the time `at` join without a corner.
 fn is_smooth(formula: &Formula, at: Span) -> bool {
     let nanos = at.as_nanos();
     let slope = |from: i64, to: i64| jet(formula, (seconds(from), seconds(to))).map(|jet| jet.slope);
@@ -166,7 +167,7 @@ pub fn seconds_of(time: Span) -> f64 {
 }
 
 impl Formula {
-    /// The largest slope, per second, and the largest second derivative among many samples between two times in seconds.
+    /// Returns the largest slope, per second, and the largest second derivative among many samples between two times in seconds.
     pub fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
         let at = |part: u32| {
             let time = from + (to - from) * f64::from(part) / 256.0;

@@ -3,9 +3,9 @@
 /// A product of powers of time and angle, or a percentage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unit {
-    /// The exponent of time, in nanoseconds.
+    /// The exponent of time; the base unit is the nanosecond.
     pub time: i8,
-    /// The exponent of half turns, `pi`. Angles in degrees are plain numbers.
+    /// The exponent of angle; the base unit is a half turn, `pi`. Angles in degrees are plain numbers.
     pub angle: i8,
     /// Whether the value is a percentage.
     pub percent: bool,
@@ -62,7 +62,7 @@ impl Unit {
         (time.abs() <= POWER_MAX && angle.abs() <= POWER_MAX).then_some(Self { time, angle, percent: false })
     }
 
-    /// A hint for two units that cannot be added or compared.
+    /// Returns a hint for two units that cannot be added or compared; `None` if there is no hint for these units.
     pub fn hint_of_two(self, other: Self) -> Option<&'static str> {
         let is = |unit: Self| self == unit || other == unit;
         match () {

@@ -1,31 +1,32 @@
-//! Lines from several values of one sample: the slopes of those that stay within the room at all passed samples.
+//! Lines from several values of one sample: the slopes at which the lines stay within the room at all passed samples.
 //!
 //! The room is the largest allowed distance from the curve; a gate is the range of values within the room at a sample. At a later time,
 //! the lines from one value reach an interval. The lower the value, the higher the interval, because the lines have to pass the same
-//! gates. The lowest and the highest value with remaining lines therefore bound the reached values. The values in between only matter if
-//! these two do not decide.
+//! gates. The lowest and the highest value with remaining lines therefore bound the reached values. The values in between are only
+//! examined if these two are not decisive.
 
 use super::lattice::{Candidates, VALUES_MAX};
 
-/// The lines from some values of a sample, and the later values that they reach.
+/// Straight lines that start at some values of a sample, and the later values that they reach.
 pub(super) trait Sight {
     /// Starts with the lines from those candidates of a sample whose indices are in `set`, which is not empty.
     fn begin(&mut self, of: &Candidates, set: u64);
 
-    /// Those candidates in the set `wanted` of a later sample that at least one line reaches.
+    /// Returns the candidates of the sample that is `duration` later that are in the set `wanted` and that at least one line reaches.
     fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64;
 
-    /// Keeps only the lines that pass a later sample between two values. Returns whether any remain.
+    /// Keeps only the lines whose values at a later sample are within `gate`, the range of allowed values. Returns whether any remain.
     fn narrow(&mut self, duration: f64, gate: (f64, f64)) -> bool;
 }
 
-/// The lines from each value of one sample, exactly.
+/// The lines from each value of one sample, without approximation.
 pub(super) struct Cones {
     /// The lines from each value, starting with the lowest value. Only the values in `first..end` have remaining lines.
     all: [Lines; VALUES_MAX],
     first: usize,
     end: usize,
-    /// The lines from the lowest and from the highest value with remaining lines, updated for all passed gates.
+    /// The lines from the lowest and from the highest value with remaining lines, updated for all passed gates (ranges of allowed
+    /// values).
     lowest: Lines,
     highest: Lines,
     passed: Vec<Gate>,
@@ -36,30 +37,31 @@ pub(super) struct Cones {
 struct Gate {
     low: f64,
     high: f64,
-    /// The inverse of the time until that sample: multiplication is faster than division, and there may be many values.
+    /// The inverse of the time from the start of the lines to the gate: multiplication is faster than division, and there may be many
+    /// values.
     inverse: f64,
 }
 
-/// All lines from one value that pass the first `passed` gates.
+/// All lines from one value that pass the first `passed` gates (ranges of allowed values at later samples).
 #[derive(Clone, Copy, Default)]
 struct Lines {
     candidate: u8,
     value: f64,
     flattest: f64,
     steepest: f64,
-    /// The number of gates for which the lines are updated.
+    /// The number of gates, in order of time, that the lines are known to pass.
     passed: usize,
 }
 
 impl Lines {
-    /// Keeps only the lines that pass the gate.
+    /// Keeps only the lines that pass the gate, which is the range of allowed values at a later sample.
     fn narrow(&mut self, gate: &Gate) {
         let (bottom, top) = ((gate.low - self.value) * gate.inverse, (gate.high - self.value) * gate.inverse);
         self.flattest = if bottom > self.flattest { bottom } else { self.flattest };
         self.steepest = if top < self.steepest { top } else { self.steepest };
     }
 
-    /// Keeps only the lines that pass all gates. Returns whether any remain.
+    /// Keeps only the lines that pass all gates (ranges of allowed values at later samples). Returns whether any remain.
     fn pass(&mut self, gates: &[Gate]) -> bool {
         gates[self.passed..].iter().for_each(|gate| self.narrow(gate));
         self.passed = gates.len();
@@ -135,7 +137,7 @@ impl Sight for Cones {
 }
 
 impl Cones {
-    /// Drops values without lines. Returns whether any remain.
+    /// Drops the lowest and the highest values for as long as no line from them remains. Returns whether any value remains.
     fn drop_ended(&mut self) -> bool {
         if self.first >= self.end {
             return false;
@@ -160,7 +162,7 @@ impl Cones {
         true
     }
 
-    /// All candidates between the lowest and the highest value that the lines reach: a superset of the reached ones.
+    /// Returns all candidates from the lowest to the highest value that the lines reach: a superset of the reached candidates.
     fn reached_at_most(&self, of: &Candidates, duration: f64) -> u64 {
         of.between(self.highest.lowest(duration), self.lowest.highest(duration))
     }

@@ -18,7 +18,7 @@ const LEAST_ERROR: f64 = 0.01;
 
 /// A movement for a device that holds its value. Times are nanoseconds from the start of the movement.
 pub struct Movement<'a> {
-    /// Returns the value of a smooth part, given by its index, at a time.
+    /// Returns the value of the smooth part with the given index at a time in nanoseconds.
     value: &'a dyn Fn(usize, i64) -> f64,
     tolerance: f64,
     pieces: Vec<Piece>,
@@ -51,8 +51,8 @@ struct Place {
     value: f64,
 }
 
-/// A value that the device holds from the place `start` on. `low` and `high` are the places of the movement's lowest and highest value
-/// until the next run.
+/// A time during which the device holds one value, from the place `start` until the next run. `low` and `high` are the places at which
+/// the movement has its lowest and its highest value during the run.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     start: Place,
@@ -61,7 +61,7 @@ struct Run {
     high: Place,
 }
 
-/// The parameters of one search for the fewest runs.
+/// The parameters of one search for the fewest runs (times during which the device holds one value).
 struct Question<'a> {
     movement: &'a Movement<'a>,
     /// The values that the device accepts; `None` if it accepts every value.
@@ -70,7 +70,8 @@ struct Question<'a> {
     last: Option<f64>,
     /// The value of the movement at the end.
     end: f64,
-    /// Added to the room, so that rounding does not exclude a movement that just meets its tolerance.
+    /// A small addition to the room (the largest allowed error), so that rounding does not exclude a movement that just meets its
+    /// tolerance.
     dust: f64,
 }
 
@@ -118,8 +119,8 @@ impl<'a> Movement<'a> {
         self.end = until;
     }
 
-    /// Whether a smooth part is monotonic between two samples. If its slope were 0 somewhere between them, the curvature would not allow
-    /// the value to change by more than `bend`. Negligible reversals are ignored.
+    /// Whether a smooth part is monotonic between two samples, except for negligible reversals. If the slope were 0 between the samples,
+    /// the value could change by at most the bound of the curvature times the time squared. A larger change excludes that.
     fn turns_nowhere(&self, a: (i64, f64), b: (i64, f64), rates: Rates) -> bool {
         #[expect(clippy::cast_precision_loss, reason = "rounded far below what matters")]
         let seconds = (b.0 - a.0) as f64 * 1e-9;
@@ -129,7 +130,8 @@ impl<'a> Movement<'a> {
     }
 
     /// Finds the fewest steps within the tolerance. Among the solutions with that number of steps, it finds one whose error is minimal to
-    /// within 1 % of the tolerance. If more than `most` steps are needed, it does not find all of them.
+    /// within 1 % of the tolerance. If more than `most` steps are needed, the search stops early, and the result lacks the remaining
+    /// ones.
     ///
     /// `ends.first` is the value of the first step; if it is `None`, any value is allowed. If `ends.last` is given, the device has that
     /// value at the end, where the movement has the value `written`. The device takes a new value at the last nanosecond before the
@@ -150,7 +152,7 @@ impl<'a> Movement<'a> {
     }
 }
 
-/// The lowest and the highest place of a run after adding another place.
+/// Returns the places of the lowest and the highest value of a run after its extension by `place`.
 fn widened((low, high): (Place, Place), place: Place) -> (Place, Place) {
     (if place.value < low.value { place } else { low }, if place.value > high.value { place } else { high })
 }
@@ -180,7 +182,7 @@ impl Question<'_> {
         Ok(self.fit(&runs, most))
     }
 
-    /// Lower bound of the error, whatever the number of steps.
+    /// Returns a lower bound of the error of any steps, whatever their number.
     fn smallest(&self) -> f64 {
         let pieces = &self.movement.pieces;
         let first = self.first.zip(pieces.first()).map(|(first, piece)| (first - piece.from).abs());
@@ -198,8 +200,8 @@ impl Question<'_> {
         self.last.map_or(0.0, |last| (last - self.end).abs())
     }
 
-    /// The fewest runs whose error is at most `room`; if more than `most` are needed, only the first ones. `None` if no runs are close
-    /// enough.
+    /// Returns the fewest runs (times during which the device holds one value) whose error is at most `room`. If more than `most` runs
+    /// are needed, returns only the first ones. `None` if no runs are close enough.
     fn runs(&self, room: f64, most: usize) -> Option<Vec<Run>> {
         let room = room + self.dust;
         let last_from = self.last_from(room);
@@ -223,7 +225,7 @@ impl Question<'_> {
         Some(runs)
     }
 
-    /// The place where a piece starts; after the last piece, the end of the movement.
+    /// Returns the place where the piece with this index starts. The index after the last piece stands for the end of the movement.
     fn place(&self, piece: usize) -> Place {
         let value = self.movement.pieces.get(piece).map_or(self.end, |piece| piece.from);
         Place { piece, value }
@@ -236,7 +238,7 @@ impl Question<'_> {
         place.piece > other.piece || place.piece == other.piece && further
     }
 
-    /// The first place after which the prescribed last value is close enough for the entire rest of the movement.
+    /// Returns the first place from which the prescribed last value is close enough for the entire rest of the movement.
     fn last_from(&self, room: f64) -> Place {
         let pieces = &self.movement.pieces;
         let Some(last) = self.last else { return self.place(pieces.len()) };
@@ -250,7 +252,8 @@ impl Question<'_> {
         }
     }
 
-    /// The longest run from `start` with one value, and the place where it ends. If `prescribed` is given, it is that value.
+    /// Returns the longest run from `start` with a single value, and the place where it ends. If `prescribed` is given, the run has that
+    /// value.
     fn longest(&self, start: Place, prescribed: Option<f64>, room: f64) -> (Run, Place) {
         let (mut low, mut high) = (start, start);
         let mut place = start;
@@ -274,7 +277,8 @@ impl Question<'_> {
         (Run { start, held: prescribed.unwrap_or(nearest), low, high }, place)
     }
 
-    /// The range of values that the movement may take in a run without ending it, given the run's extremes so far.
+    /// Returns the range of values that the movement may take without ending a run, given the lowest and the highest value of the run so
+    /// far.
     fn served(&self, prescribed: Option<f64>, low: f64, high: f64, room: f64) -> (f64, f64) {
         let (least, greatest) = match (prescribed, &self.lattice) {
             (Some(value), _) => (value, value),
@@ -284,7 +288,7 @@ impl Question<'_> {
         (least - room, greatest + room)
     }
 
-    /// The largest error of the runs, and the place where it occurs.
+    /// Returns the largest error of the runs, and the place where it occurs.
     fn worst(&self, runs: &[Run]) -> (f64, Place) {
         let offs = runs
             .iter()
@@ -314,7 +318,7 @@ impl Question<'_> {
         }
     }
 
-    /// The last nanosecond before the movement passes a place.
+    /// Returns the last nanosecond before the movement passes a place.
     fn time(&self, place: Place) -> i64 {
         let Movement { pieces, end, value, .. } = self.movement;
         let Some(piece) = pieces.get(place.piece) else { return *end };

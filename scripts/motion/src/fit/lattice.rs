@@ -8,10 +8,10 @@ use super::{Grid, Unfit};
 const SIDE_MAX: f64 = 17.0;
 /// Maximum number of candidates of a sample.
 pub(super) const VALUES_MAX: usize = 35;
-/// Largest index of a multiple: a double represents whole numbers exactly up to 2^53.
+/// Largest index of a grid value, which is the index times the granularity: a double represents whole numbers exactly up to 2^53.
 const INDEX_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// The grid values of a device: the multiples of the granularity from `low` to `high`; at least one exists.
+/// The grid values of a device: the granularity times each whole number from `low` to `high`; at least one exists.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice {
     low: f64,
@@ -53,7 +53,8 @@ impl Lattice {
         round(value / self.granularity).clamp(self.low, self.high)
     }
 
-    /// The grid values that differ from `value` by at most `room`. If there are too many: the nearest, and every nth on both sides of it.
+    /// The grid values that differ from `value` by at most `room`. If there are too many, returns the nearest one, and every nth one on
+    /// both sides of it.
     pub(super) fn near(&self, value: f64, room: f64) -> Candidates {
         let low = ceil((value - room) / self.granularity).max(self.low);
         let high = floor((value + room) / self.granularity).min(self.high);
@@ -76,8 +77,8 @@ impl Lattice {
 /// Whole numbers below this bound fit in an `i64`.
 const WHOLE_MAX: f64 = 9e15;
 
-/// The value without its fraction digits; `None` for large values. The rounding functions of the standard library are too slow here: on
-/// common processors, they are function calls.
+/// The value without its fraction digits; `None` from [`WHOLE_MAX`] on. The rounding functions of the standard library are too slow here:
+/// on common processors, they are function calls.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "below WHOLE_MAX")]
 fn truncated(value: f64) -> Option<f64> {
     (value.abs() < WHOLE_MAX).then_some(value as i64 as f64)
@@ -109,7 +110,7 @@ pub(super) struct Candidates {
     origin: f64,
     /// Number of candidates per unit.
     density: f64,
-    /// The index of the last candidate; -1 if there are no candidates.
+    /// The index of the last candidate, counted from 0; -1 if there are no candidates.
     last: f64,
 }
 
@@ -150,7 +151,8 @@ impl Candidates {
         if first <= last { (u64::MAX >> (63 - (last - first))) << first } else { 0 }
     }
 
-    /// The indices of all values that are also in `nearer`, the candidates of the same sample with less room. Neither set may be thinned.
+    /// Returns the indices of all values that are also in `nearer`, the candidates of the same sample within a smaller distance from the
+    /// curve. Neither set may be thinned.
     pub(super) fn common(&self, nearer: &Self) -> u64 {
         let first = nearer.base - self.base;
         self.indices(first, first + nearer.last)

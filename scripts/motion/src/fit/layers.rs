@@ -1,5 +1,5 @@
-//! All paths with the fewest pieces, as layers of steps: the steps of the nth layer are n pieces from the first sample. The room is the
-//! largest allowed distance from the curve.
+//! All paths with the fewest pieces (straight lines from step to step), as layers of steps: the steps of the nth layer are n pieces from
+//! the first sample. The room is the largest allowed distance from the curve.
 //!
 //! With less room, the paths to a step and from that step to the end can only need more pieces. If the number of pieces stays the same,
 //! each step therefore stays in its layer or drops out. A search with less room only examines the remaining steps.
@@ -16,7 +16,7 @@ use super::problem::{Path, Problem};
 pub(super) struct Node {
     pub(super) sample: usize,
     pub(super) candidates: u64,
-    /// No line from these candidates leads beyond this sample; `usize::MAX` if that sample is not known.
+    /// The last sample that a line from these candidates may reach; `usize::MAX` if that sample is not known.
     pub(super) until: usize,
 }
 
@@ -26,7 +26,7 @@ impl Node {
     }
 }
 
-/// Consecutive layers, each in order of samples.
+/// Consecutive layers; the nodes of each layer are in order of their samples.
 #[derive(Default)]
 pub(super) struct Stack {
     nodes: Vec<Node>,
@@ -61,7 +61,8 @@ impl Stack {
 pub(super) struct Layers {
     room: f64,
     candidates: Rc<[Candidates]>,
-    /// The layers from the last sample to the first. From each step, one piece leads to a step of the preceding layer in this order.
+    /// The layers, from the last sample back to the first. A straight piece leads from each step to a step of the layer before it in this
+    /// list.
     backwards: Stack,
 }
 
@@ -78,7 +79,7 @@ impl Layers {
         Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
     }
 
-    /// The steps that remain with less room; `None` if no path remains.
+    /// Returns the layers that remain if the largest allowed distance from the curve falls to `room`; `None` if no path remains.
     pub(super) fn within(&self, problem: &Problem, room: f64) -> Option<Self> {
         let near = |node: &Node| {
             let near = problem.candidates(node.sample, room);
@@ -128,12 +129,12 @@ impl Layers {
         self.candidates.iter().any(Candidates::are_thinned)
     }
 
-    /// Whether these layers contain all paths of `most` steps within this room.
+    /// Whether these layers contain all paths of `most` steps whose distance from the curve is at most `room`.
     pub(super) fn answer(&self, room: f64, most: usize) -> bool {
         room <= self.room && most == self.backwards.layers()
     }
 
-    /// The path through the earliest step of each layer; of several values at that sample, through the lowest.
+    /// Returns the path through the earliest step of each layer. If that step has several values, the path takes the lowest.
     pub(super) fn path(&self, problem: &Problem) -> Path {
         let mut walk = Walk::new(problem, &self.candidates, self.room);
         let mut path = Path::with_capacity(self.backwards.layers());
@@ -153,7 +154,7 @@ impl Layers {
     }
 }
 
-/// A search for lines that start at one step and stay within the room.
+/// A search for lines that start at one step and stay within the room (the largest allowed distance from the curve).
 struct Walk<'a> {
     problem: &'a Problem<'a>,
     candidates: &'a [Candidates],
@@ -166,7 +167,7 @@ impl<'a> Walk<'a> {
         Self { problem, candidates, room, cones: Cones::default() }
     }
 
-    /// Keeps the candidates of `node` from which a piece leads to one of the steps in `later`.
+    /// Keeps the candidates of `node` from which a piece leads to one of the steps in `later`. `None` if no candidate remains.
     fn leading(&mut self, node: Node, later: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[node.sample], node.candidates);
         let (mut leading, mut passed) = (0, node.sample);
@@ -184,8 +185,8 @@ impl<'a> Walk<'a> {
         (leading != 0).then_some(Node { candidates: leading, ..node })
     }
 
-    /// The earliest step of `layer` that a line from `from` reaches, with the lowest candidate reached there. At the last sample, the
-    /// highest.
+    /// Returns the earliest step of `layer` that a line from `from` reaches, with the lowest candidate reached there; at the last sample,
+    /// with the highest. `None` if no line reaches a step.
     fn earliest(&mut self, from: Node, layer: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[from.sample], from.candidates);
         let mut passed = from.sample;

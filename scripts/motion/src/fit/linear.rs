@@ -25,8 +25,8 @@ const PIECE_SAMPLES_MAX: usize = 256;
 /// A grid is called fine if a sample has more candidates than this.
 const FINE: u32 = 6;
 
-/// The fewest steps within the room, and a lower bound of the number of steps. `None` if no steps are within the room, or more than
-/// `most` are needed.
+/// Returns the fewest steps whose distance from the curve is at most `room`, and a lower bound of the number of steps. `None` if no such
+/// steps exist, or more than `most` are needed.
 ///
 /// `known` holds the layers of an earlier search with more room, if any. This search replaces them by its own layers.
 pub(super) fn steps(
@@ -100,7 +100,8 @@ impl<'a> Search<'a> {
         sparse
     }
 
-    /// All paths with the fewest pieces, from `pieces_min` to `pieces_max`. A first search only allows `pieces_min` pieces.
+    /// Returns all paths with the fewest pieces, whose number must be from `pieces_min` to `pieces_max`. A first search only allows
+    /// `pieces_min` pieces.
     fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Layers> {
         if pieces_min > pieces_max {
             return None;

@@ -18,7 +18,8 @@ pub(super) struct Problem<'a> {
     pub(super) curve: Samples<'a>,
     pub(super) lattice: Lattice,
     pub(super) ends: Ends,
-    /// Added to the room, so that rounding does not exclude a curve that just meets its tolerance.
+    /// A small addition to the room (the largest allowed distance from the curve), so that rounding does not exclude a curve that just
+    /// meets its tolerance.
     pub(super) dust: f64,
     pub(super) tubes: Tubes<'a>,
     /// The solution with steps at the ends only; no solution has fewer steps.
@@ -94,7 +95,7 @@ impl<'a> Problem<'a> {
         Some(self.measured(path, at_least))
     }
 
-    /// The values that a step at this sample may take, for a device that moves linearly.
+    /// Returns the values that a step at this sample may take, at most `room` away from the curve, for a device that moves linearly.
     pub(super) fn candidates(&self, sample: usize, room: f64) -> Candidates {
         let (value, room) = (self.curve.values[sample], self.curve.room_at(sample, room));
         let is_last = sample + 1 == self.curve.values.len();
@@ -115,7 +116,7 @@ impl<'a> Problem<'a> {
         self.measured(path, steps)
     }
 
-    /// One step at each sample: the start of the search for the closest steps.
+    /// Returns a solution with one step at each sample. The search for the closest steps starts there.
     fn closest_start(&self) -> Found {
         let last = self.curve.times.len() - 1;
         if last == 0 {
@@ -158,7 +159,7 @@ impl<'a> Problem<'a> {
         Found { path, at_least, off: worst.0, off_at: worst.1 }
     }
 
-    /// The device's value at `sample` on the line between two steps.
+    /// Returns the device's value at `sample`, on the line between two steps.
     fn follows(&self, from: (usize, f64), to: (usize, f64), sample: usize) -> f64 {
         if sample == from.0 {
             return from.1;

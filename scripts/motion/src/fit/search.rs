@@ -3,19 +3,20 @@
 
 use super::problem::{Found, Problem};
 
-/// Maximum number of bisections of the room; after these, the resolution of a double is exhausted.
+/// Maximum number of bisections of the room (the largest allowed distance from the curve). After these, the resolution of a double is
+/// exhausted.
 const ROUNDS_MAX: u32 = 200;
 
 /// The required precision of the least error.
 #[derive(Clone, Copy)]
 pub(super) enum Precision {
-    /// A millionth of the error, or a millionth of the granularity.
+    /// A millionth of the error, or a millionth of the granularity if that is larger.
     Fine,
     /// An absolute distance, in units of the value.
     Within(f64),
 }
 
-/// The steps closest to the curve, of at most `budget` steps. They are at least as close as `start`.
+/// Returns at most `budget` steps that are as close to the curve as possible, and at least as close as `start`.
 pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precision: Precision) -> Found {
     let mut too_little = problem.off_min().max(bound(problem, start.off, budget, precision));
     if let Some(found) = problem.within(too_little, budget) {
@@ -50,7 +51,7 @@ pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precisio
     best
 }
 
-/// A room that is insufficient, or just sufficient, for `budget` steps on any grid.
+/// Returns a room (a largest allowed distance from the curve) that is insufficient, or just sufficient, for `budget` steps on any grid.
 fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) -> f64 {
     let close = match precision {
         Precision::Fine => problem.lattice.granularity * 1e-7,

@@ -11,7 +11,7 @@ const CLOSE: f64 = 1e-9;
 struct BruteForce<'a> {
     curve: Samples<'a>,
     ends: Ends,
-    /// By number of steps.
+    /// The least error; the index is the number of steps.
     least: Vec<f64>,
 }
 
@@ -167,7 +167,8 @@ proptest! {
     }
 }
 
-/// The fewest steps within the tolerance at all samples, with values from -1 to 1, at the times of samples or halfway between them.
+/// Returns the fewest steps within the tolerance at all samples. Steps have values from -1 to 1, and are at samples or halfway between
+/// them.
 fn fewest_anywhere(curve: &Samples, tolerance: f64) -> Option<usize> {
     let between = curve.times.windows(2).map(|pair| f64::midpoint(pair[0], pair[1]));
     let mut times: Vec<f64> = curve.times.iter().copied().chain(between).collect();
@@ -212,7 +213,8 @@ proptest! {
     }
 }
 
-/// The fewest pieces, each as long as one line can pass all its gaps: each pair of gaps bounds the slope.
+/// Returns the fewest straight pieces through all gaps (the ranges of allowed values). Each piece is extended for as long as one line can
+/// pass all its gaps; each pair of gaps bounds the slope.
 fn pieces_by_pairs(curve: &Samples, room: f64) -> usize {
     let Samples { times, values, .. } = *curve;
     let passes = |start: usize, end: usize| {

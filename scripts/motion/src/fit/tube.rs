@@ -12,14 +12,14 @@ pub(super) struct Tubes<'a> {
     curve: Samples<'a>,
     /// The slope from each sample to the next.
     slopes: Vec<f64>,
-    /// The bends of the curve before each sample.
+    /// For each sample, the bend of the curve before it.
     bends: Vec<Bend>,
 }
 
 /// The bend of a curve before a sample.
 #[derive(Clone, Copy)]
 struct Bend {
-    /// The first sample from which the curve bends to one side only, up to this sample.
+    /// The earliest sample from which the curve bends to one side only, up to the sample that this bend belongs to.
     since: usize,
     /// The side to which the curve bends: above 0 if slopes increase, below 0 if they decrease.
     side: f64,
@@ -50,7 +50,7 @@ impl<'a> Tubes<'a> {
         Self { curve: *curve, slopes, bends }
     }
 
-    /// Whether a polyline within the room needs at most `steps` steps at samples.
+    /// Whether at most `steps` steps, all at samples, suffice for a polyline whose distance from the curve is at most `room`.
     pub(super) fn is_enough(&self, room: f64, steps: usize) -> bool {
         let mut pieces = 0;
         self.backwards(room, |_, count| {
@@ -60,7 +60,7 @@ impl<'a> Tubes<'a> {
         pieces < steps
     }
 
-    /// Minimum number of steps, all at samples, of a polyline within the room.
+    /// Returns the minimum number of steps, all at samples, of a polyline whose distance from the curve is at most `room`.
     pub(super) fn steps_at_least(&self, room: f64) -> usize {
         self.pieces_left(room).first().map_or(0, |pieces| *pieces as usize + 1)
     }
@@ -113,13 +113,14 @@ impl<'a> Tubes<'a> {
     }
 }
 
-/// Consecutive samples that one line can pass within the room, extended backwards from the last one.
+/// Consecutive samples that one line can pass within the room (the largest allowed distance from the curve). They are extended backwards
+/// from the last one.
 struct Piece<'a> {
     tubes: &'a Tubes<'a>,
     room: f64,
     last: usize,
     bend: Bend,
-    /// The sample farthest from the line between the first and the last sample, if the curve bends to one side only.
+    /// The sample farthest from the line between the first and the last sample. Only used if the curve bends to one side only.
     farthest: usize,
     /// Whether the curve bends to both sides or jumps in this piece. Only then is the tube needed.
     is_winding: bool,
@@ -142,7 +143,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// The negated time of a sample, and the lowest and highest value at which a line may pass it.
+    /// Returns the negated time of a sample, and the lowest and highest value at which a line may pass it.
     fn gap(&self, sample: usize) -> (f64, f64, f64) {
         let (low, high) = self.tubes.curve.gate(sample, self.room);
         (-self.tubes.curve.times[sample], low, high)
@@ -156,7 +157,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// Prepends a sample. Returns false if no line passes all samples any longer.
+    /// Prepends a sample. Returns whether one line still passes all samples.
     #[inline]
     fn add(&mut self, first: usize) -> bool {
         if first < self.bend.since || self.is_winding {
@@ -204,7 +205,7 @@ impl Line {
         Self { corner, run: point.0 - corner.0, rise: point.1 - corner.1 }
     }
 
-    /// The height of a point above the line, multiplied by `run` to avoid a division.
+    /// Returns the height of a point above the line, multiplied by `run` to avoid a division.
     fn below(&self, point: (f64, f64)) -> f64 {
         (point.1 - self.corner.1) * self.run - self.rise * (point.0 - self.corner.0)
     }
@@ -226,7 +227,7 @@ impl Tube {
         self.bottoms.clear();
     }
 
-    /// Adds the gap at `x` from `low` to `high`. Returns false if no line passes all gaps any longer.
+    /// Adds the gap at `x` from `low` to `high`. Returns whether one line still passes all gaps.
     fn add(&mut self, (x, low, high): (f64, f64, f64)) -> bool {
         let (bottom, top) = ((x, low), (x, high));
         let above = self.steepest.is_some_and(|line| line.below(bottom) > 0.0);
@@ -296,7 +297,8 @@ impl Hull {
         self.touched = 0;
     }
 
-    /// The best line through a corner and `point`, as judged by `no_worse`. Along the hull, lines first get no worse, and then worse.
+    /// Returns the best line through a corner of the hull and `point`. `no_worse` compares two lines. From left to right, lines get no
+    /// worse up to the best one, and then worse.
     fn touch(&mut self, point: (f64, f64), no_worse: impl Fn(&Line, &Line) -> bool) -> Option<Line> {
         let (first, later) = self.corners.get(self.touched..)?.split_first()?;
         let mut best = Line::through(*first, point);

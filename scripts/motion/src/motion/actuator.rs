@@ -1,5 +1,5 @@
-//! Converts a movement to steps of a device. The device's own interpolation is used as written, and the rest is fitted with the fewest
-//! steps within the tolerance.
+//! Converts a movement to steps of a device. Courses that the device itself interpolates are kept as written; the others are fitted with
+//! the fewest steps within the tolerance.
 
 mod hold;
 
@@ -72,7 +72,7 @@ impl Fits {
 /// How the course between two knots is converted to steps.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Means {
-    /// The device's own interpolation: a step at the knot.
+    /// A single step at the knot; the device's own interpolation does the rest.
     Own,
     /// The device holds the old value, then takes the new one.
     Jump,
@@ -82,9 +82,9 @@ enum Means {
     Alone,
     /// The course is fitted together with adjacent `Joined` courses.
     Joined,
-    /// For a device that holds its value: the course is fitted together with adjacent courses, both steps and curves.
+    /// For a device that holds its value: the course is fitted together with adjacent courses, both constant ones and curves.
     Held,
-    /// The value does not change in the course.
+    /// The value does not change during the course.
     Still,
 }
 
@@ -134,7 +134,7 @@ impl<'a> Actuator<'a> {
         self.interpolation == Interpolation::Linear
     }
 
-    /// Whether the movement starts by moving the device to the first knot, from any position.
+    /// Whether the movement begins with a move to its first knot that may start from any position.
     pub fn moves_from_anywhere(&self, curve: &Curve) -> bool {
         let first = curve.knots.first();
         first.is_some_and(|first| {
@@ -155,7 +155,7 @@ impl<'a> Actuator<'a> {
         first.at > Span::ZERO && !waits && !self.moves_from_anywhere(curve)
     }
 
-    /// The default tolerance: the limit `max_error`, or one granularity if that is larger.
+    /// Returns the default tolerance: the device's limit `max_error`, or one granularity if that is larger.
     pub fn tolerance(&self) -> f64 {
         self.limits.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity))
     }
@@ -224,8 +224,8 @@ impl<'a> Actuator<'a> {
         fitted
     }
 
-    /// How the course to a knot is converted to steps. A course that takes no time and whose gap is within the tolerance does not
-    /// interrupt the fit.
+    /// Returns how the course to a knot is converted to steps. A course that takes no time does not interrupt the fit if its change of
+    /// the value is within the tolerance.
     fn way(&self, track: &Tracked<'_>, index: usize) -> Means {
         let knots = &track.played.curve.knots;
         let means = |index: usize| self.means(knots, index, track.thinned);
@@ -245,7 +245,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// The index after the last knot whose course is fitted together with the course to the knot `index`.
+    /// Returns the index after the last of the knots whose courses are fitted together with the course to the knot `index`.
     fn run_end(&self, track: &Tracked<'_>, index: usize) -> usize {
         let knots = &track.played.curve.knots;
         let mut samples = 0.0;
@@ -271,8 +271,9 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// Finds the smallest error with at most `most` steps, but at least the tolerance, by bisection. Returns the corresponding tolerance
-    /// and the steps. If `most` steps suffice for no tolerance, returns the fewest possible steps.
+    /// Finds by bisection the smallest tolerance that at most `most` steps can meet, but not less than `tolerance` or half of the
+    /// granularity, whichever is smaller. Returns that tolerance and the steps. If `most` steps meet no tolerance, returns the fewest
+    /// possible steps.
     pub fn least_error(
         &self,
         played: &Played<'_>,
@@ -407,8 +408,9 @@ impl<'a> Actuator<'a> {
         sampled
     }
 
-    /// The number of equal parts into which a course is sampled, so that linear interpolation has an error of at most 1/32 of the
-    /// tolerance (curvature times the part's length squared over 8: de Boor, A Practical Guide to Splines, chapter III).
+    /// Returns the number of equal parts into which a course is sampled. Linear interpolation then has an error of at most 1/32 of the
+    /// tolerance. This error is the curvature times the part's length squared over 8 (de Boor, A Practical Guide to Splines, chapter
+    /// III).
     fn parts(&self, curve: &Curve, index: usize, tolerance: f64) -> f64 {
         let seconds = (curve.knots[index].at - curve.knots[index - 1].at).as_millis_f64() / 1_000.0;
         let (_, curvature) = curve.rates(index);
@@ -483,7 +485,7 @@ struct Sampled {
 }
 
 impl Sampled {
-    /// Makes the last sample the middle of a possible gap between two pieces that meet there.
+    /// If two pieces meet at the last sample with different values, moves the sample to the middle of this gap and records the gap.
     fn meets(&mut self, before: f64, after: f64) {
         let Some(last) = self.values.last_mut().filter(|_| before != after) else { return };
         *last = f64::midpoint(before, after);
@@ -513,7 +515,7 @@ impl Fitted {
         }
     }
 
-    /// Drops the last step if it is at this time.
+    /// Drops the last step if its time is `at`.
     fn take_back(&mut self, at: Span) {
         if self.steps.last().is_some_and(|last| last.at == at) {
             self.steps.pop();

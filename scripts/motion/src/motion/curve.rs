@@ -17,7 +17,7 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Scales a time to the nearest nanosecond, so that the whole length is mapped exactly.
+    /// Scales a time and rounds it to the nearest nanosecond. `from` becomes exactly `to`.
     pub fn of(self, at: Span) -> Span {
         let (from, to) = (i128::from(self.from.as_nanos()), i128::from(self.to.as_nanos()));
         if from == to || from <= 0 {
@@ -59,9 +59,9 @@ pub enum Shape {
     OwnReversed,
     /// The course of an easing.
     Eased(Easing),
-    /// The new value, from the time of the previous knot on.
+    /// The knot's value, already from the time of the previous knot on.
     Early,
-    /// Part of a sampled curve, from the previous sample to this one. Samples may be omitted.
+    /// Part of a sampled curve, from the previous sample to this one. The fit may omit samples.
     Sampled(Between),
     /// A change that takes no time: two pieces meet, or a repeated movement restarts. The values may differ slightly.
     Meets,
@@ -83,13 +83,13 @@ pub enum Shape {
 pub enum Between {
     /// The device's own interpolation.
     Own,
-    /// The device's own interpolation in reverse.
+    /// The device's own interpolation in reverse: a device that holds takes the new value at once.
     OwnReversed,
     /// A straight line.
     Linear,
-    /// The old value, until the time of the next sample.
+    /// The previous sample's value, until the time of the next sample.
     Step,
-    /// The new value, from the time of the previous sample on.
+    /// The next sample's value, from the time of the previous sample on.
     Early,
 }
 
@@ -106,7 +106,7 @@ impl Between {
 }
 
 impl Shape {
-    /// Whether the value at the end of the course is written in the file, or results from a written value by scaling or mirroring.
+    /// Whether the value at the end of the course is written in the file, or results from such a value by scaling or mirroring.
     pub fn is_written(self) -> bool {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }
@@ -146,7 +146,8 @@ impl Shape {
 }
 
 impl Knot {
-    /// A copy of the knot, later by `by`, with `item` and `function` added to its indices.
+    /// Returns a copy of the knot that is later by `by`. Adds `item` to the index of its list item, and `function` to the index of its
+    /// function.
     fn moved(&self, by: Span, item: u32, function: u32) -> Self {
         let shape = match self.shape {
             Shape::Function { index, gain, offset, reversed } => {
@@ -165,7 +166,7 @@ impl Curve {
         Self { knots, functions: functions.into() }
     }
 
-    /// The memory consumption of the curve, as an equivalent number of knots.
+    /// Returns the memory consumption of the curve, as an equivalent number of knots.
     pub fn size(&self) -> usize {
         let coefficients = |function: &Function| match function {
             Function::Polynomial(coefficients) => coefficients.len(),
@@ -180,7 +181,7 @@ impl Curve {
         self.knots.last().map_or(Span::ZERO, |knot| knot.at)
     }
 
-    /// value = about + factor * (value - about)
+    /// Scales all values relative to `about`: value = about + factor * (value - about).
     pub fn scale(&mut self, about: f64, factor: f64) {
         let shift = about - factor * about;
         for knot in &mut self.knots {
@@ -237,8 +238,8 @@ impl Curve {
         }
     }
 
-    /// Plays the movement, whose exact duration is `length`, `times` times in total, once per lap. If its last value differs from its
-    /// first, the value jumps at the start of each lap.
+    /// Repeats the movement until it is played `times` times in total, once per lap. `length` is its exact duration. If its last value
+    /// differs from its first, the value jumps at the start of each lap.
     pub fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
         let cycle = laps.begin(1);
         let once = self.knots.clone();
@@ -273,8 +274,9 @@ impl Curve {
         turn.saturating_mul(times.saturating_sub(1) as usize)
     }
 
-    /// The transition between two repetitions: whether the device waits for the next repetition, and whether the last knot has the value
-    /// of the first knot, which starts without a delay.
+    /// Returns two properties of the transition between two repetitions. The first is whether the device waits for the next repetition.
+    /// The second is whether the last knot also serves as the next first knot: both have the same value, and the first knot starts
+    /// without a delay.
     fn seam(first: &Knot, last: &Knot, cycle: Span) -> (bool, bool) {
         let waits = last.at < cycle || first.at > Span::ZERO;
         (waits, first.at == Span::ZERO && first.to == last.to)

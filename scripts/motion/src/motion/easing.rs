@@ -3,7 +3,7 @@
 /// The course from the previous value to the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Easing {
-    /// The function s.
+    /// The function s: a straight line.
     Linear,
     /// The minimum jerk law, 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan, J. Neurosci. 5, 1985).
     Smooth,
@@ -33,7 +33,7 @@ impl Easing {
         }
     }
 
-    /// The s at which [`Self::Smooth`] has a given value from 0 to 1, by bisection.
+    /// Returns the s at which [`Self::Smooth`] has a given value from 0 to 1, found by bisection.
     pub fn smooth_time(value: f64) -> f64 {
         let (mut early, mut late) = (0.0, 1.0);
         for _ in 0..50 {

@@ -10,9 +10,9 @@ use crate::expression::Formula;
 /// A function of s from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Function {
-    /// c0 + c1 s + c2 s^2 + ...
+    /// The polynomial c0 + c1 s + c2 s^2 + ..., given by its coefficients.
     Polynomial(Box<[f64]>),
-    /// sin(2 pi (cycles s + phase)); the phase in turns.
+    /// The wave sin(2 pi (cycles s + phase)), with the phase in turns.
     Sine {
         /// The number of periods from 0 to 1.
         cycles: f64,
@@ -28,7 +28,8 @@ pub enum Function {
 /// Number of samples of a movement without turns, and number of additional samples per turn (`IN_TURN`).
 const SAMPLES: f64 = 1_024.0;
 const IN_TURN: f64 = 128.0;
-/// Distance in u from the end of a path's part at which samples on both sides of the end are taken.
+/// Distance from the end of a path's part at which samples on both sides of that end are taken. It is in u, the progress of the
+/// movement from 0 to 1.
 const BESIDE: f64 = 1e-9;
 /// The ratio of the peak speed of the minimum jerk law to its mean speed.
 const PEAK: f64 = 1.875;
@@ -43,31 +44,32 @@ pub struct Swept {
     pub radius: [f64; 2],
     /// The angle around the centre at u = 0, in turns. The coordinate is the radius times the sine of the angle.
     pub phase: f64,
-    /// The number of turns that the angle increases by from u = 0 to u = 1.
+    /// The number of turns by which the angle increases from u = 0 to u = 1.
     pub turns: f64,
     /// A path along which the body is carried in addition, if any.
     pub carried: Option<Carried>,
 }
 
-/// A part of a path along which a coordinate is carried, relative to its position at u = 0.
+/// A part of a path along which a coordinate is carried, relative to its position at u = 0. The progress of the movement, u, runs from 0
+/// to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carried {
     /// The path that carries the body.
     pub path: Arc<Path>,
     /// The coordinate of the path that the body's coordinate follows.
     pub along: Along,
-    /// Factor of the path's coordinate, in units per metre.
+    /// The factor by which the path's coordinate is multiplied, in units of the body's coordinate per metre.
     pub gain: f64,
     /// The distance along the path at u = 0, in metres.
     pub from: f64,
     /// The distance covered along the path from u = 0 to u = 1, in metres.
     pub length: f64,
-    /// Whether the angle changes with the heading of the path.
+    /// Whether the angle around the centre changes with the heading of the path.
     pub turning: bool,
 }
 
 impl Carried {
-    /// The value that the path adds, and its first two derivatives with respect to u.
+    /// Returns the value that the path adds, and its first two derivatives with respect to u (the progress of the movement, from 0 to 1).
     fn jet(&self, along: Along, u: f64) -> [f64; 3] {
         let [value, slope, bend] = self.path.jet(along, self.from + self.length * u);
         let [begin, ..] = self.path.jet(along, self.from);
@@ -79,7 +81,7 @@ impl Carried {
         (slope * self.length, bend * self.length * self.length)
     }
 
-    /// The ends of the path's parts, in u: there its bends are sharpest.
+    /// Returns the ends of the path's parts, in u (the progress of the movement, from 0 to 1). The path bends most sharply there.
     fn ends(&self) -> impl Iterator<Item = f64> {
         let ends = self.path.ends(self.from, self.from + self.length);
         ends.into_iter().map(|metres| ((metres - self.from) / self.length).clamp(0.0, 1.0))
@@ -87,14 +89,14 @@ impl Carried {
 }
 
 impl Swept {
-    /// The angle in radians, and its first two derivatives with respect to u.
+    /// Returns the angle around the centre in radians, and its first two derivatives with respect to u (the progress of the movement).
     fn angle(&self, u: f64) -> [f64; 3] {
         let turning = self.carried.as_ref().filter(|carried| carried.turning);
         let [heading, first, second] = turning.map_or([0.0; 3], |carried| carried.jet(Along::Heading, u));
         [self.turns * u + self.phase + heading, self.turns + first, second].map(|turns| TAU * turns)
     }
 
-    /// The value and its first two derivatives with respect to u.
+    /// Returns the value of the coordinate, and its first two derivatives with respect to u (the progress of the movement).
     fn jet(&self, u: f64) -> [f64; 3] {
         let [a, b, c] = self.line;
         if self.radius == [0.0; 2] && self.carried.is_none() {
@@ -113,7 +115,7 @@ impl Swept {
         ]
     }
 
-    /// Bounds of the first two derivatives with respect to u.
+    /// Returns upper bounds of the coordinate's first two derivatives with respect to u (the progress of the movement).
     fn bounds(&self) -> (f64, f64) {
         let [_, b, c] = self.line.map(f64::abs);
         let (radius, growth) =
@@ -288,7 +290,7 @@ fn largest(coefficients: &[f64]) -> f64 {
     ends.chain(turns).fold(0.0, f64::max)
 }
 
-/// The zero of a polynomial between two points with different signs, by bisection.
+/// Returns the zero of a polynomial between two points with different signs, found by bisection. `None` if the signs are equal.
 fn turning(coefficients: &[f64], mut from: f64, mut to: f64) -> Option<f64> {
     let rises = horner(coefficients, to) > 0.0;
     if (horner(coefficients, from) > 0.0) == rises {

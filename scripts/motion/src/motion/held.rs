@@ -1,11 +1,11 @@
 //! Steps of a device that holds its value, for a movement that consists of steps. One held value can replace several successive levels (a
 //! run). Always taking the longest run gives the fewest runs.
 
-/// For each value of a level, the lowest and the highest level of a run.
+/// For each of a level's values, the lowest and the highest value at that index in the levels of a run.
 #[derive(Clone, Debug)]
 struct Ranges(Vec<(f64, f64)>);
 
-/// Values that are held from one level until the next run.
+/// A run: values that are held from one level until the next run, and replace the levels in between.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// Index of the first level that the run replaces.
@@ -54,7 +54,7 @@ impl Ranges {
         Self(level.iter().enumerate().map(range).collect())
     }
 
-    /// The grid values nearest to the middles of the ranges, and their largest distance from a level.
+    /// Returns the grid values nearest to the middles of the ranges, and the largest distance of such a value from a level.
     fn held(&self, grid: &impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
         let values: Vec<f64> = self.0.iter().map(|(low, high)| grid(f64::midpoint(*low, *high))).collect();
         let off = |(value, (low, high)): (&f64, &(f64, f64))| (value - low).max(high - value);
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
 
-    /// The smallest number of successive whole values, by trying all cuts.
+    /// Returns the fewest runs of successive levels, each replaced by one whole number, by trying all cuts.
     fn fewest(levels: &[f64], tolerance: f64) -> usize {
         let serves =
             |part: &[f64]| (-9..=9).any(|v| part.iter().all(|l| (l - f64::from(v)).abs() <= tolerance));

@@ -10,7 +10,7 @@ const PARTS: usize = 32;
 /// Number of points of a closed path that are repeated before its first and after its last point. The effect of a point on the slope at
 /// another one at least halves with each point between them.
 const AROUND: usize = 40;
-/// Smallest cosine of the angle between the directions at both ends of a part.
+/// Smallest allowed cosine of the angle between the directions at both ends of a part.
 const BEND_MIN: f64 = 0.5;
 /// Smallest ratio of horizontal speed to speed along the path for which a heading is defined.
 const LEVEL_MIN: f64 = 1e-3;
@@ -150,7 +150,7 @@ impl Path {
     }
 
     /// The ends of the parts between two distances along the path, in metres. If there are many laps, only the first lap, the last lap
-    /// and the laps around the middle count. A body that moves from rest to rest is fastest around the middle.
+    /// and the laps around the middle are included: a body that moves from rest to rest is fastest around the middle.
     pub(super) fn ends(&self, from: f64, to: f64) -> Vec<f64> {
         let length = self.length();
         let lap = |metres: f64| if self.closed { (metres / length).floor() } else { 0.0 };
@@ -178,7 +178,7 @@ fn digest(points: &[[f64; 3]], closed: bool) -> [u64; 2] {
     })
 }
 
-/// The parts of a path that is being created.
+/// The finished parts of a path that is being created.
 #[derive(Default)]
 struct Laid {
     far: Vec<f64>,
@@ -236,7 +236,7 @@ struct End {
 }
 
 impl End {
-    /// The end at the parameter `s` of a piece; `None` if the derivative of the spline is 0 there.
+    /// Creates the end at the parameter `s` of a piece; `None` if the derivative of the spline is 0 there.
     fn of(piece: &[Cubic; 3], s: f64) -> Option<Self> {
         let [x, y, z] = piece.each_ref().map(|cubic| jet(cubic, s));
         let speed = norm([x[1], y[1], z[1]]);
@@ -289,7 +289,7 @@ fn jet(&[a, b, c, d]: &Cubic, s: f64) -> [f64; 3] {
     [a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d), 2.0 * c + 6.0 * s * d]
 }
 
-/// The heading `heading` plus the whole number of turns that brings it closest to `other`.
+/// Returns `heading` plus the whole number of turns that brings it closest to `other`.
 fn nearest_turn(heading: f64, other: f64) -> f64 {
     heading + (other - heading).round()
 }

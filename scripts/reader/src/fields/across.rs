@@ -1,4 +1,4 @@
-//! Orders the robots of a cue by their number, by their place in space, or at random. Also reads values that are spread over the robots:
+//! Orders the robots of a cue by their index, by their place in space, or at random. Also reads values that are spread over these robots:
 //! `{from: 0, to: 90, across: group}`.
 
 use std::sync::Arc;
@@ -14,11 +14,11 @@ use downbeat_space::space::Coordinate;
 use downbeat_yaml::finding::{Code, Pending, names};
 use downbeat_yaml::node::Node;
 
-/// Units per metre of an integer coordinate: places are distinguished to the nanometre.
+/// The number of nanometres per metre. Places are compared as whole nanometres.
 const UNITS_A_METRE: f64 = 1e9;
-/// Upper bound of coordinates and distances, in metres.
+/// Largest absolute value of coordinates and distances, in metres. Larger ones are clamped to it.
 const FARTHEST: f64 = 1e8;
-/// Maximum number of robots without a place that a finding names.
+/// Maximum number of robots that a finding about unknown positions lists.
 const NAMED_MAX: usize = 8;
 
 keys! {
@@ -49,7 +49,7 @@ pub struct Group {
     pub robots: Vec<usize>,
     /// All robots of the fleet.
     pub fleet: Vec<Standing>,
-    /// The shares that are already computed for these robots, by order.
+    /// For each order that was used, the computed positions of the robots in it, from 0 to 1.
     shares: Vec<(Across, Arc<[Fraction]>)>,
 }
 
@@ -78,11 +78,12 @@ pub enum Whereabouts {
     Known(f64),
     /// The position is not known.
     Unknown,
-    /// A group moved the robot, and the robot's route does not exist or is not known. In most cases, the compiler reports the cause.
+    /// A previous cue moved the robot as part of a group, and the robot's route does not exist or is not known. In most cases, the
+    /// compiler reports the cause.
     Lost,
 }
 
-/// The order of the robots of a cue.
+/// How the robots of a cue are ordered.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Across {
     /// The criterion by which the robots are ordered.
@@ -104,7 +105,7 @@ pub enum By {
     Random(f64),
 }
 
-/// Which robots of the order come first.
+/// Which robots come first in an order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Direction {
     #[default]
@@ -140,7 +141,7 @@ pub(crate) enum Word {
 }
 
 impl Group {
-    /// A group without robots, in the given fleet, before any cue is read.
+    /// Creates the initial group, before any cue is read: it has no robots of the fleet.
     pub fn of(fleet: Vec<Standing>) -> Self {
         Self { fleet, ..Self::default() }
     }
@@ -150,7 +151,7 @@ impl Group {
         self.robots.len()
     }
 
-    /// Sets the robots of the cue that is read next.
+    /// Sets the robots of the cue that is read next, as indices in the fleet.
     pub fn enter(&mut self, robots: Vec<usize>) {
         self.robots = robots;
         self.shares.clear();
@@ -158,7 +159,7 @@ impl Group {
 }
 
 impl Axis {
-    /// Marks the coordinate as lost if a device moves it.
+    /// Marks the position on this axis as lost, unless the coordinate is fixed.
     pub fn lose(&mut self) {
         if matches!(self.of, Coordinate::Device { .. }) {
             self.at = Whereabouts::Lost;
@@ -167,7 +168,7 @@ impl Axis {
 }
 
 impl Standing {
-    /// The place of the robot in metres, if all coordinates are known.
+    /// Returns the coordinates of the robot in metres; `None` unless all three are known.
     pub fn metres(&self) -> Option<[f64; 3]> {
         let known = |axis: &Axis| match axis.at {
             Whereabouts::Known(metres) => Some(metres),
@@ -181,7 +182,7 @@ impl Standing {
         self.axes.iter().flatten().any(|axis| axis.at == Whereabouts::Lost)
     }
 
-    /// The place of the robot in nanometres, if all coordinates are known.
+    /// Returns the coordinates of the robot in nanometres; `None` unless all three are known.
     fn place(&self) -> Option<[i128; 3]> {
         Some(self.metres()?.map(nanometres))
     }
@@ -199,7 +200,7 @@ fn distance(place: [i128; 3], point: [f64; 3]) -> i128 {
 }
 
 impl Across {
-    /// Reads an order from the keys `by`, `seed` and `direction`.
+    /// Reads an order of robots from the keys `by`, `seed` and `direction`.
     pub fn read(
         reader: &mut Reader,
         by: Option<At<'_>>,
@@ -231,7 +232,8 @@ impl Across {
         Some(Self { by: by?, direction: direction? })
     }
 
-    /// The distance of each robot of the cue from the first one in this order; in metres if the order depends on places.
+    /// Returns the distance of each robot of the cue from the first one in this order. It is in metres if the robots are ordered by
+    /// place, in positions if by index, and from 0 to 1 if at random.
     pub fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
         let own = self.own(reader, at)?;
         let metres = matches!(self.by, By::Axis(_) | By::Point(_));
@@ -245,7 +247,7 @@ impl Across {
         })
     }
 
-    /// The rank of each robot in this order, from 0. Robots at the same position share a rank.
+    /// Returns the rank of each robot in this order, counted from 0. Robots at the same position share a rank.
     pub fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
         let own = self.own(reader, at)?;
         let mut sorted = own.clone();
@@ -257,7 +259,7 @@ impl Across {
         Some(self.directed(&ranks).iter().map(whole).collect())
     }
 
-    /// The value of the criterion for each robot, as an integer.
+    /// Returns the integer by which each robot of the cue is ordered: its index, a random number, or nanometres.
     fn own(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<i128>> {
         let Group { robots, fleet, .. } = &reader.group;
         let count = robots.len();
@@ -316,7 +318,7 @@ impl Across {
         all.iter().map(one).collect()
     }
 
-    /// The position of each robot in this order, from 0 for the first to 1 for the last.
+    /// Returns the position of each robot in this order, from 0 (first) to 1 (last).
     fn shares(self, reader: &mut Reader, at: &At<'_>) -> Option<Arc<[Fraction]>> {
         if let Some((_, known)) = reader.group.shares.iter().find(|(across, _)| *across == self) {
             return Some(known.clone());
@@ -337,7 +339,7 @@ impl Across {
     }
 }
 
-/// Each value as a fraction of the largest one; 0 if the largest one is 0.
+/// Divides each value by the largest one. If the largest one is 0, all results are 0.
 pub fn parts(all: &[Fraction]) -> Vec<Fraction> {
     let most = all.iter().max().copied().unwrap_or_default();
     let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
@@ -391,7 +393,7 @@ pub fn is_spread(node: &Node) -> bool {
 }
 
 impl Reader {
-    /// Calls `read` for one robot. Also returns whether the result depends on the robot.
+    /// Calls `read` for one robot. Returns the result, and whether it depends on the robot.
     pub fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
         let before = self.robots.current.replace(robot);
         self.robots.asked = false;
@@ -434,7 +436,7 @@ impl Reader {
         Some(format!("({from}) + (({to}) - ({from})) * {share}"))
     }
 
-    /// A number or a time in the notation of expressions.
+    /// Reads a number or a time, and returns it as the text of an expression.
     fn written(&mut self, at: &At<'_>) -> Option<String> {
         match self.defined(at)? {
             Node::Number(value) if value.is_finite() => Some(value.to_string()),

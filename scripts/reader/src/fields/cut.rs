@@ -1,4 +1,4 @@
-//! Values that YAML cuts in two at a comma: `0,5` and `max(1, 2)` within braces.
+//! Detects values within braces that YAML cuts in two at a comma, such as `0,5` and `max(1, 2)`.
 
 use super::{At, Reader};
 use downbeat_motion::expression;
@@ -37,7 +37,8 @@ impl Reader {
     }
 }
 
-/// The key of an entry and the number before the comma, if a decimal comma turned the decimals into the key `rest`.
+/// Detects a decimal comma that turned the digits after it into the key `rest`. Returns the key of the entry before it, and the digits
+/// before the comma.
 pub(super) fn cut_by_comma<'a>(
     (key, value): &'a (String, Node),
     rest: &str,
@@ -57,14 +58,14 @@ pub(super) fn cut_by_comma<'a>(
     }
 }
 
-/// The keys at the start of `entries` that are numbers without a value. The first key is always included.
+/// Returns the keys at the start of `entries` that are numbers without a value. The first key is included in any case.
 pub(super) fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
     let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
     let count = entries.iter().take_while(is_number).count().max(1);
     entries.iter().take(count).map(|(key, _)| key.as_str()).collect()
 }
 
-/// The number of brackets that are open at the end of a text.
+/// Returns the number of round brackets that are not closed at the end of a text.
 fn is_open(text: &str) -> usize {
     text.chars().fold(0, |open: usize, c| match c {
         '(' => open + 1,
@@ -73,8 +74,8 @@ fn is_open(text: &str) -> usize {
     })
 }
 
-/// The entry whose value ended at a comma within the brackets of an expression, so that the rest of the expression became a key. `None`
-/// if that is not the case.
+/// Detects a comma in an expression that ended the value, so that the rest of the expression became the next key. Returns the key and the
+/// cut value; `None` if there is no such comma.
 pub(super) fn cut_in_brackets<'a>(
     (key, value): &'a (String, Node),
     node: &Node,

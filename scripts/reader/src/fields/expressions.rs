@@ -1,4 +1,4 @@
-//! Expressions in a document: substitutes variables, and reports errors at their characters.
+//! Evaluates the expressions in a document with the values of their variables. Reports errors at the characters that cause them.
 
 #[cfg(test)]
 mod tests;
@@ -18,13 +18,13 @@ use downbeat_yaml::shown::shortened;
 
 pub use tried::tried;
 
-/// Maximum length of a variable's expression after other variables are substituted, in characters.
+/// Maximum length, in characters, of an expression whose variables are replaced by their values.
 const WRITTEN_MAX: usize = 2_000;
-/// Largest numbers of bars or beats, and of nanoseconds, that are converted to a time.
+/// Largest number of bars or beats that is converted to a time.
 const BEATS_MAX: f64 = 1e9;
 const NANOS_MAX: f64 = 1e20;
 
-/// The index of a robot in its cue, and the number of robots there.
+/// A robot of a cue, as `$index` and `$count` see it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
     /// The index of the robot in the cue, counted from 0.
@@ -33,23 +33,23 @@ pub struct Robot {
     pub count: usize,
 }
 
-/// The robot whose movement is being read, and the parts of the movement that depend on the robot.
+/// The robot whose movement is being read, and the results that depend on this robot.
 #[derive(Debug, Default)]
 pub struct Robots {
     pub current: Option<Robot>,
     /// Whether `$index` or `$count` has been used for the current robot.
     pub asked: bool,
-    /// The results of expressions that used `$index` or `$count`. Robots with equal results share a movement.
+    /// The results of all expressions that used `$index` or `$count`, as bits. Robots with equal results share a movement.
     pub results: Vec<u64>,
 }
 
-/// A hint for a wrong use of `$index`.
+/// The hint for `$index` or `$count` at a place where all robots share the value.
 const ONE_ROBOT: &str =
     "use it where each robot can have its own value: tracks, parameters, scale, mirror, repeat";
 
 struct Here<'r> {
     reader: &'r mut Reader,
-    /// Whether the value of a variable is being evaluated, which cannot use other variables.
+    /// Whether the evaluated expression is itself the value of a variable. It cannot use further variables then.
     inner: bool,
 }
 
@@ -197,7 +197,8 @@ impl Reader {
         }
     }
 
-    /// Whether both ends of a spread have the same unit, as far as they have values.
+    /// Whether the first and the last value of a spread have the same kind of unit. Adds a finding if they differ. True if either cannot
+    /// be evaluated.
     pub fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
         let unit = |value: Result<Quantity, Fault>| match value {
             Ok(Quantity::Amount(amount)) => Some(amount.unit),
@@ -213,7 +214,8 @@ impl Reader {
         false
     }
 
-    /// Adds a finding at the characters of a part of the node's text, or at the whole node.
+    /// Adds a finding for a fault in `text`, a part of the node's text. The place is the faulty characters, or the whole node if it is
+    /// not a text.
     fn faulty(&mut self, at: &At<'_>, text: &str, fault: Fault) {
         if fault.is_told() {
             return;
@@ -244,7 +246,7 @@ impl Reader {
         self.faulty(at, text.trim(), fault);
     }
 
-    /// Evaluates an expression as a plain number; an angle is converted to radians.
+    /// Evaluates an expression as a plain number. An angle, such as `pi / 2`, is converted to radians.
     pub fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
         if slips::is_rate(text) {
             self.wrong_type(at, expected);
@@ -254,7 +256,7 @@ impl Reader {
         self.plain(at, text, value, expected, std::f64::consts::PI)
     }
 
-    /// An angle in degrees: a plain number, or a multiple of `pi`.
+    /// Reads an angle in degrees: a plain number, or an expression, in which `pi` stands for 180 degrees.
     pub fn degrees(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         let node = self.scalar(at)?.into_owned();
         match &node {
@@ -301,7 +303,7 @@ impl Reader {
         None
     }
 
-    /// Evaluates a condition; `None` if it is wrong and a finding was added.
+    /// Evaluates a condition. Adds a finding and returns `None` if the result is neither true nor false.
     pub fn truth_of(&mut self, at: &At<'_>, text: &str) -> Option<bool> {
         match self.quantity(at, text)? {
             Quantity::Truth(truth) => Some(truth),
@@ -349,8 +351,8 @@ impl Reader {
         self.no_longer(at, text, length)
     }
 
-    /// The value of a variable or a parameter. An expression with variables is evaluated at once. If its value differs between robots,
-    /// the result is an expression that only uses `$index` and `$count`.
+    /// Reads the value that a variable or a parameter is set to. An expression with variables is evaluated at once. If the result differs
+    /// between robots or depends on the tempo, returns an expression whose only variables are `$index` and `$count`.
     pub fn defined(&mut self, at: &At<'_>) -> Option<Node> {
         if let Node::Text(text) = at.node
             && names_variables(text)
@@ -384,7 +386,7 @@ impl Reader {
         }
     }
 
-    /// The expression with its variables replaced by their values.
+    /// Returns the expression with its variables replaced by their values, except `$index` and `$count`.
     fn put_in(&self, text: &str, expression: &Expression) -> Result<Node, Fault> {
         let chars: Vec<char> = text.chars().collect();
         let (mut written, mut done) = (String::new(), 0);
@@ -411,7 +413,7 @@ impl Reader {
         Ok(Node::Text(written))
     }
 
-    /// Reads a formula of time and replaces its variables by their values.
+    /// Reads a formula that depends on time, and replaces its variables by their values.
     pub fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
         let text = match self.scalar(at)?.into_owned() {
             Node::Number(value) if value.is_finite() => value.to_string(),

@@ -1,7 +1,7 @@
-//! The keys of a map. Each is declared once: its name, its meaning, its values, and whether it is required.
-//! [`Reader::keys`](crate::fields::Reader::keys) reads a map into the struct that [`keys!`](crate::keys!) generates, whose fields hold
-//! the values in the file. The schemas, the tables of keys in the documentation, and the dictionary of the fuzzer are generated from the
-//! same declarations, so they always match the reader.
+//! Declarations of the keys that each kind of map may have. Each key is declared once, with its name, its meaning, its values, and
+//! whether it is required. [`keys!`](crate::keys!) generates a struct with a field per key, into which
+//! [`Reader::keys`](crate::fields::Reader::keys) reads a map. The schemas, the tables of keys in the documentation, and the dictionary of
+//! the fuzzer are generated from the same declarations, so they always match the reader.
 
 use std::ops::RangeInclusive;
 
@@ -14,20 +14,20 @@ pub trait Keys<'a>: Sized {
     /// For each key, whether it is required.
     const REQUIRED: &'static [bool];
 
-    /// Creates the struct from the values, in the order of the names.
+    /// Creates the struct from the values of the keys, in the order of [`Self::NAMES`].
     fn of(values: Vec<Option<At<'a>>>) -> Self;
 }
 
-/// The declaration of a map and its keys.
+/// The declaration of one kind of map and its keys.
 #[derive(Debug)]
 pub struct Declaration {
-    /// The name of the map's definition in a schema. `None` if the map is defined inline at each use.
+    /// The name of the map's definition in the JSON schema. `None` if the schema describes the map wherever it is used.
     pub definition: Option<&'static str>,
-    /// The lines of a description of the map.
+    /// The description of the map, line by line.
     pub doc: &'static [&'static str],
     /// The keys of the map, in the order in which messages list them.
     pub keys: &'static [Key],
-    /// Additional constraints on the keys, such as mutual exclusion, as part of a JSON schema.
+    /// A fragment of JSON schema with further constraints, such as keys that exclude each other; `None` if there are none.
     pub also: Option<&'static str>,
 }
 
@@ -36,9 +36,10 @@ pub struct Declaration {
 pub struct Key {
     /// The name of the key in a file.
     pub name: &'static str,
-    /// The lines that describe the key; empty if its kind describes it. Lines after an empty line appear only in the documentation.
+    /// The description of the key, line by line; empty if its kind describes it. Lines after an empty line appear only in the
+    /// documentation.
     pub doc: &'static [&'static str],
-    /// The default value, as an item that is `Some`; all other items are `None`.
+    /// The default value is the only item that is `Some`; the key has no default if all items are `None`.
     pub default: &'static [Option<&'static str>],
     /// Whether the key is required.
     pub required: bool,
@@ -61,7 +62,7 @@ pub enum Kind {
     Named {
         /// The name of the kind.
         name: &'static str,
-        /// The lines of a description of the kind.
+        /// The description of the kind, line by line.
         doc: &'static [&'static str],
         /// The values that the kind accepts.
         kind: &'static Self,
@@ -70,25 +71,25 @@ pub enum Kind {
     Keys(fn() -> &'static Declaration),
     /// A map with declared keys whose values are all of one kind.
     KeysOf(fn() -> &'static Declaration, &'static Self),
-    /// A map with declared keys, and with other keys that are names of the user, whose values are of one kind.
+    /// A map with declared keys, and with further keys that the user chooses. The values of the further keys are of one kind.
     KeysAnd(fn() -> &'static Declaration, &'static Self),
-    /// A map from names of the user to values of one kind.
+    /// A map from names that the user chooses to values of one kind.
     Entries(&'static Self),
     /// A map like `Entries` with at least one entry.
     SomeEntries(&'static Self),
-    /// A list of values of one kind; its length is in this range.
+    /// A list of values of one kind, whose length is in the range.
     List(&'static Self, RangeInclusive<usize>),
-    /// A list of fixed length, with one value of each of these kinds in order.
+    /// A list of fixed length: one value of each kind, in this order.
     Tuple(&'static [&'static Self]),
-    /// One of these words.
+    /// One of the given words.
     Words(&'static [&'static str]),
     /// One of several kinds.
     AnyOf(&'static [&'static Self]),
-    /// Values that a JSON schema describes.
+    /// Values that are described by this JSON schema.
     Schema(&'static str),
 }
 
-/// The words of a table from which [`Reader::word`](crate::fields::Reader::word) reads one.
+/// Returns the words of a table that [`Reader::word`](crate::fields::Reader::word) uses.
 #[must_use]
 pub const fn words<T, const N: usize>(table: &[(&'static str, T); N]) -> [&'static str; N] {
     let mut words = [""; N];
@@ -161,10 +162,10 @@ macro_rules! keys {
         $visible struct $name<'a> { $($visible $key: Option<$crate::fields::At<'a>>,)* }
 
         impl $name<'_> {
-            /// A map with these keys.
+            /// The kind of a value that is a map with these keys.
             $visible const KIND: $crate::keys::Kind = $crate::keys::Kind::Keys(Self::declaration);
 
-            /// The declaration of the keys.
+            /// Returns the declaration of the keys.
             $visible fn declaration() -> &'static $crate::keys::Declaration {
                 static DECLARATION: $crate::keys::Declaration = $crate::keys::Declaration {
                     definition: $crate::optional!($($definition)?),
@@ -194,7 +195,7 @@ macro_rules! keys {
     };
 }
 
-/// An optional value.
+/// Expands to `Some` of its argument, or to `None` without an argument.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! optional {
@@ -206,7 +207,7 @@ macro_rules! optional {
     };
 }
 
-/// Whether an attribute of a key is `required`.
+/// Expands to `true` if the attribute of a key is `required`.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! is_required {
@@ -218,7 +219,7 @@ macro_rules! is_required {
     };
 }
 
-/// The default in an attribute of a key.
+/// Expands to `Some` of the default if the attribute of a key is `default`, otherwise to `None`.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! default_of {
@@ -230,7 +231,7 @@ macro_rules! default_of {
     };
 }
 
-/// The line of documentation in an attribute of a key.
+/// Expands to the line of documentation if the attribute of a key is `doc`, otherwise to an empty text.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! doc_of {
@@ -242,7 +243,7 @@ macro_rules! doc_of {
     };
 }
 
-/// Converts a name in Rust to the name in files.
+/// Converts the name of a key in Rust to its name in files: removes the prefix `r#`.
 #[doc(hidden)]
 #[must_use]
 pub const fn written(name: &'static str) -> &'static str {

@@ -10,7 +10,7 @@ pub static TEXT: Kind = schema!({"type": "string"});
 pub static PLAIN_NUMBER: Kind = schema!({"type": "number"});
 /// The kind of literal numbers above 0.
 pub static POSITIVE: Kind = schema!({"type": "number", "exclusiveMinimum": 0});
-/// The kind of maps that give each robot of a cue an individual value.
+/// The kind of maps that spread a value over the robots of a cue, so that each robot gets its own.
 pub static SPREAD: Kind = SpreadKeys::KIND;
 /// The kind of the literals `true` and `false`.
 pub static BOOLEAN: Kind = schema!({"type": "boolean"});

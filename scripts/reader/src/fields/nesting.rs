@@ -1,4 +1,4 @@
-//! Items that are being read because something else uses them: moves within moves, cues of sequences.
+//! Keeps track of the moves and sequences that are being read because something else uses them, such as a move within a move.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub struct Name {
     pub place: Place,
 }
 
-/// A parameter that has neither a default nor a value.
+/// A use of a parameter that has neither a default nor a value.
 #[derive(Clone, Debug)]
 pub struct Unset {
     /// The place that uses the parameter.
@@ -27,28 +27,28 @@ pub struct Unset {
     pub parameter: String,
 }
 
-/// The moves and sequences that are being read, nested in one another.
+/// The moves and sequences that are being read, each within the previous one, and the limits on them.
 #[derive(Debug)]
 pub struct Nesting {
     /// The items from the outermost to the innermost, each as named in messages: `the move `wave``.
     pub inside: Vec<String>,
-    /// The number of the included file's copy whose names take precedence.
+    /// The index of the copy of an included file whose names take precedence; 0 for the scenario itself.
     pub copy: usize,
-    /// Budget for the moves that the current movement plays.
+    /// Budget for the moves that the movement being read plays.
     pub plays: Budget,
-    /// Budget for the moves that all movements play.
+    /// Budget for the moves that all movements of the scenario play.
     pub all_plays: Budget,
     /// Budget for the cues that sequences generate.
     pub cues: Budget,
-    /// The number of cues of unused sequences so far.
+    /// The number of cues in unused sequences that have been read so far.
     unused_cues: usize,
-    /// The number of sequences that are being read.
+    /// The number of sequences that are being read, nested in one another.
     pub sequences: usize,
     /// The robots that cues of a sequence use if they name none.
     pub robots: Option<Arc<[Name]>>,
-    /// The start of the cue that was read last, as far as it is fixed.
+    /// The start of the cue that was read last, if it is fixed.
     pub began: Beginning,
-    /// Messages about circular uses, each with the index of its finding.
+    /// The messages about items that use themselves, each with the index of its finding.
     pub circles: HashMap<String, usize>,
 }
 
@@ -75,8 +75,8 @@ impl Nesting {
         self.sequences > 0
     }
 
-    /// Starts an unused sequence, whose cues are not part of the scenario, with its own budget. Returns the remaining budget of the
-    /// scenario's cues, for [`Self::end_unused`]. `None` if enough unused cues have been checked.
+    /// Starts to read an unused sequence, whose cues are not part of the scenario, and gives it its own budget. Returns the remaining
+    /// budget for the scenario's cues, for [`Self::end_unused`]. `None` if enough unused cues have been checked.
     pub fn unused_sequence(&mut self) -> Option<Budget> {
         if self.unused_cues > SEQUENCE_CUES_MAX {
             return None;
@@ -84,13 +84,13 @@ impl Nesting {
         Some(std::mem::replace(&mut self.cues, Budget::new(SEQUENCE_CUES_MAX)))
     }
 
-    /// Ends an unused sequence: restores the budget, and counts the cues of the sequence.
+    /// Ends an unused sequence: restores `room`, the budget for the scenario's cues, and counts the cues of the sequence.
     pub fn end_unused(&mut self, room: Budget) {
         let unused = std::mem::replace(&mut self.cues, room);
         self.unused_cues += unused.most() - unused.left();
     }
 
-    /// Resets the budget for moves, for the next movement.
+    /// Resets [`Self::plays`] for the next movement.
     pub fn renew_plays(&mut self) {
         self.plays = Budget::new(PLAYS_MAX);
     }

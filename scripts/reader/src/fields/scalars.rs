@@ -1,4 +1,4 @@
-//! Scalar values: numbers, times, words, truth values, and the variables that represent them.
+//! Reads scalar values: numbers, times, words, truth values, and variables in place of them.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 impl Reader {
-    /// The node's value: the node itself, or the value of the variable that it names. Expressions remain unchanged.
+    /// Returns the node, or the value of the variable if the node names one. Expressions are returned unchanged.
     pub fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
@@ -24,7 +24,7 @@ impl Reader {
         }
     }
 
-    /// Like [`Self::scalar`], but for places that do not allow expressions. There, any text that begins like a variable is a variable.
+    /// Like [`Self::scalar`], but for places that do not allow expressions. There, any text that begins with `$` or `-$` is a variable.
     fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
@@ -48,7 +48,8 @@ impl Reader {
         }
     }
 
-    /// The place that assigns the parameter that this node names. `None` unless it is a parameter of a move or a sequence.
+    /// Returns the place that assigns the parameter that this node names. `None` unless the node names a parameter of a move or a
+    /// sequence.
     pub fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
@@ -93,7 +94,7 @@ impl Reader {
         None
     }
 
-    /// A hint for the variable `name`, which is used above or within its definition.
+    /// Returns a hint for the variable `name`, which is used before or within its definition.
     pub fn move_up(&self, name: &str) -> String {
         format!(
             "define `{}` above the variables that use it, with numbers or variables defined above it",
@@ -181,7 +182,8 @@ impl Reader {
         }
     }
 
-    /// Reads a duration in seconds and related units, or in beats and bars. These are converted to clock time from the start of the cue.
+    /// Reads a duration in a unit such as seconds, or in beats and bars. Beats and bars are counted from the start of the cue and
+    /// converted to clock time.
     pub fn duration(&mut self, at: &At<'_>) -> Option<Span> {
         self.exact(at).map(|length| self.music.start.lay(length))
     }
@@ -210,7 +212,7 @@ impl Reader {
         None
     }
 
-    /// Laps of the given length, from the start of the cue on.
+    /// Returns consecutive laps (repetitions) of the given length, the first of which begins at the start of the cue.
     pub fn laps(&self, length: Exact) -> Laps {
         Laps { length, from: self.music.start }
     }
@@ -268,7 +270,8 @@ impl Reader {
         None
     }
 
-    /// Checks that a length does not exceed the longest time. Beats and bars may exceed it.
+    /// Returns `length`, or adds a finding and returns `None` if it exceeds the longest time that is supported. A time in beats or bars
+    /// can exceed it.
     pub fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
         if length.rounded_down() <= longest() {
             return Some(length);
@@ -294,7 +297,7 @@ impl Reader {
         self.word_or(at, words, |_| None)
     }
 
-    /// Like [`Self::word`], but with special hints for some unknown words.
+    /// Like [`Self::word`], but `hint` may return a special hint for an unknown word.
     pub fn word_or<T: Copy>(
         &mut self,
         at: &At<'_>,

@@ -1,7 +1,7 @@
-//! Advice for keys of other programs that have no equivalent: QLab, MoveIt, Skybrush, Blender and others.
+//! Advice for keys of other programs (QLab, MoveIt, Skybrush, Blender and others) that have no equivalent in Downbeat.
 
-/// Advice for keys: the map that contains them by mistake, the keys, and the advice. In the advice, `{key}` and `{given}` stand for the
-/// key and its value.
+/// Each entry is a map in which users write such keys, the keys, and the advice. In the advice, `{key}` and `{given}` stand for the key
+/// and its value.
 pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",

@@ -1,19 +1,19 @@
-//! Hints for movements that are not a list of keyframes.
+//! Hints for movements that are written in another form than a list of keyframes.
 
 use downbeat_yaml::at::At;
 use downbeat_yaml::duration::parse_duration;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// A form of times and values that beginners write instead of a list of keyframes.
+/// A notation of times and values that beginners use instead of a list of keyframes.
 pub struct OtherForm {
-    /// A description of the form, for the finding.
+    /// A description of the notation, for the finding.
     pub found: &'static str,
-    /// Two hints that show the list of keyframes: in brackets and in block style.
+    /// Two hints that show how to write the list of keyframes: in brackets, and in block style.
     pub hints: [String; 2],
 }
 
-/// Recognizes times and values that are not a list of keyframes, and returns hints; `None` for other values.
+/// Recognizes times and values that are written in another form than a list of keyframes. `None` for any other value.
 pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     let time = |node: &Node| match node {
         Node::Text(text) if parse_duration(text).is_some() => Some(text.clone()),
@@ -67,18 +67,18 @@ pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     Some(OtherForm { found, hints: [format!("write `[{shown}]`"), in_lines] })
 }
 
-/// The time that a map's key denotes: `1s`, or `1` for one second.
+/// Returns the time that the key of a map states: `1s`, or `1` for one second. `None` if it is not a time.
 fn time_of_key(key: &str) -> Option<String> {
     let is_number = key.parse::<f64>().is_ok_and(|seconds| seconds >= 0.0 && seconds.is_finite());
     if is_number { Some(format!("{key}s")) } else { parse_duration(key).map(|_| key.to_owned()) }
 }
 
-/// Whether a list item is part of a keyframe without braces, such as `at: 1s`: a map with one key.
+/// Whether a list item is only one part of a keyframe, such as `at: 1s`: a map with one key.
 fn is_single(node: &Node) -> bool {
     matches!(node, Node::Map(entries) if matches!(entries.as_slice(), [(key, _)] if ["at", "to", "ease"].contains(&key.as_str())))
 }
 
-/// Whether the items of a list are keyframes cut in halves: a time followed by a value, or vice versa, as separate items.
+/// Whether a list contains a keyframe cut in halves: its time and its value are successive items.
 fn are_halves(items: &[Node]) -> bool {
     let key = |node: &Node| match node {
         Node::Map(entries) if is_single(node) => entries.first().map(|(key, _)| key.clone()),

@@ -7,7 +7,7 @@ use downbeat_yaml::finding::did_you_mean_this;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Synonyms for keys: the map that has the key, the synonyms, and the key.
+/// Each entry is a map, synonyms that users write for one of its keys, and that key.
 const KEYS: [(&str, &[&str], &str); 76] = [
     ("a keyframe", &["value", "position", "positions", "pos", "angle", "target", "val", "goal"], "to"),
     ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
@@ -87,7 +87,7 @@ const KEYS: [(&str, &[&str], &str); 76] = [
     ("`samples`", &["column"], "value"),
 ];
 
-/// A hint for the unknown key `key` of the map `what`.
+/// Returns a hint for the unknown key `key` of the map that messages call `what`.
 pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
     let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
     if let Some((.., meant)) = known {
@@ -127,7 +127,7 @@ pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String>
     }
 }
 
-/// Where to write the device `key`, if `what` is a map that moves devices.
+/// Returns where to write the device `key`, if `what` is a map that moves devices.
 fn of_devices(what: &str, key: &str) -> Option<String> {
     match what {
         "a cue" | "an override" | "an entry of `play`" => Some("below `tracks:`".to_owned()),
@@ -136,13 +136,14 @@ fn of_devices(what: &str, key: &str) -> Option<String> {
     }
 }
 
-/// Advice for a key of another program that has no equivalent.
+/// Returns advice for a key of another program that has no equivalent in Downbeat.
 fn advice(what: &str, key: &str, given: &str) -> Option<String> {
     let found = ADVICE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., advice)| advice.replace("{key}", key).replace("{given}", given))
 }
 
-/// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
+/// Returns a hint for an unknown key next to the use of a move or a sequence. The key may be meant as a parameter of that move or
+/// sequence.
 pub fn parameter(
     what: &str,
     key: &str,
@@ -161,7 +162,7 @@ pub fn parameter(
     is_use.then(|| format!("write the value of a parameter as `parameters: {{{}: {value}}}`", shortened(key)))
 }
 
-/// Misplaced keys: the map that contains them by mistake, the keys, and the place where they belong.
+/// Each entry is a map that contains keys by mistake, these keys, and the place where they belong.
 const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     (
         "an act",
@@ -199,24 +200,24 @@ const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     ("robot", &["clock_offset", "drift", "jitter", "ntp_error", "fault", "readings"], "under `simulate`"),
 ];
 
-/// The place where a misplaced key of the map `what` belongs, if it is known.
+/// Returns the place where a misplaced key of the map `what` belongs, if it is known.
 fn elsewhere(what: &str, key: &str) -> Option<&'static str> {
     let found = ELSEWHERE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., belongs)| *belongs)
 }
 
-/// Whether the map `what` is of the kind `place`: ``robot `left` `` is of kind `robot`.
+/// Whether the map that messages call `what` is of the kind `place`: ``robot `left` `` is of the kind `robot`.
 fn is_named(what: &str, place: &str) -> bool {
     what.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with(" `"))
 }
 
-/// Suggests `control` for `control_type`: a known key that is one word of the unknown key.
+/// Suggests a known key that is one word of the unknown key: `control` for `control_type`.
 pub fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
     let mut known = known.into_iter().filter(|name| name.len() > 3);
     known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
-/// A hint for the missing key `key` of the map `what`, if beginners often omit it.
+/// Returns a hint for the missing key `key` of the map `what`, if beginners often omit it.
 pub fn missing(what: &str, key: &str) -> Option<&'static str> {
     match (what, key) {
         ("the scenario", "scenario") => {

@@ -84,8 +84,8 @@ pub struct TooManyPlaces {
 }
 
 impl Formation {
-    /// Returns the places for `count` bodies, in metres, in the order of the shape. Callers must compare their number with `count`: a
-    /// shape with its own places ([`Self::own_count`]) returns all of them, and a cloud never has more places than points.
+    /// Returns the places for `count` bodies, in metres, in the order of the shape. Callers must compare the number of places with
+    /// `count`: a shape with its own places ([`Self::own_count`]) returns all of them, and a cloud never has more places than points.
     ///
     /// # Errors
     /// Returns the number of places if it exceeds [`PLACES_MAX`].

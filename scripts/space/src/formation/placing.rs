@@ -20,7 +20,7 @@ impl Default for Placing {
 }
 
 impl Placing {
-    /// Creates a placing without scale and rotation that keeps the point `middle` in place and scales and rotates about it.
+    /// Creates a placing that leaves the shape unchanged. Later scaling and rotation are about the point `middle`.
     pub fn about(middle: Point) -> Self {
         Self { middle, at: middle, ..Self::default() }
     }
@@ -63,7 +63,7 @@ impl Placing {
     }
 }
 
-/// Returns a sine that is exact at quarter turns, so that upright shapes have round coordinates.
+/// Returns the sine of an angle in degrees. It is exact at quarter turns, so that upright shapes have round coordinates.
 fn sine(degrees: f64) -> f64 {
     match degrees.rem_euclid(360.0) {
         0.0 | 180.0 => 0.0,

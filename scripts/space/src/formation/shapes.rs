@@ -49,7 +49,7 @@ pub struct Ball {
     pub radius: f64,
 }
 
-/// Returns number `index` of `count` numbers in steps of 1 that are centred at 0: -1, 0, 1 for three, -0.5, 0.5 for two.
+/// Returns number `index` of `count` numbers in steps of 1 that are centred at 0. Three numbers are -1, 0 and 1; two are -0.5 and 0.5.
 #[expect(clippy::cast_precision_loss, reason = "there are few places")]
 fn around(index: usize, count: usize) -> f64 {
     index as f64 - (count.saturating_sub(1)) as f64 / 2.0

@@ -5,7 +5,7 @@ use super::crowd::distance;
 
 /// Approximate maximum number of comparisons of points.
 const COMPARISONS_MAX: usize = 200_000_000;
-/// Number of sampled points of a surface for each place, and the minimum and the maximum number of sampled points in total.
+/// Number of points that are sampled on a surface for each place, and the minimum and maximum number of sampled points in total.
 const SAMPLES: (usize, usize, usize) = (32, 2_000, 100_000);
 
 /// A triangle of a surface, given by its corners.

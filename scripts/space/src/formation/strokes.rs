@@ -10,15 +10,16 @@ use super::Point;
 use super::crowd::{distance, nearest_pair};
 use super::spread::thinned;
 
-/// Share of the longest side. Points that are closer to each other than this are equal.
+/// Distance below which two points are equal, as a share of the longest side of the strokes' bounding box.
 const SAME: f64 = 1e-5;
 /// Maximum number of comparisons of ends with points of strokes in the search for meeting points. Larger drawings are cut only at common
 /// ends.
 const COMPARISONS_MAX: usize = 20_000_000;
 
-/// Share of the mean distance between places along the strokes. Places that are closer to each other than this are too close.
+/// Distance below which two places are too close, as a share of the mean distance between places along the strokes.
 const CROWDED: f64 = 0.5;
-/// Number of sampled points per place, if places would be too close. Of these points, those furthest from each other become the places.
+/// Number of sampled points per place, if places would otherwise be too close. The sampled points that are furthest from each other
+/// become the places.
 const SAMPLES: usize = 16;
 
 /// Strokes that are cut where they meet.
@@ -38,7 +39,7 @@ struct Part {
     ends: Option<[usize; 2]>,
 }
 
-/// A part in the distribution of places, with the distance between its neighbouring places.
+/// A part of the strokes while places are distributed, with the distance between neighbouring places on it.
 struct Open {
     part: usize,
     gap: f64,

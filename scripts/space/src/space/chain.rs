@@ -28,7 +28,7 @@ struct Link {
 pub(super) struct Sway {
     /// Length of the point's path, in metres.
     pub(super) length: f64,
-    /// Second derivative of the point's position by the share of the movement, in metres.
+    /// Second derivative of the point's position with respect to the share of the movement (from 0 to 1), in metres.
     pub(super) bend: f64,
 }
 

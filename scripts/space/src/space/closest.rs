@@ -35,7 +35,7 @@ pub struct Mover {
     ends: f64,
 }
 
-/// A box that contains the cores of a body's parts over some time.
+/// A box that contains the cores of a body's parts (the parts without their radii) over some time.
 #[derive(Clone, Copy, Debug)]
 struct Held {
     least: [f64; 3],
@@ -53,7 +53,7 @@ impl Held {
         self
     }
 
-    /// Extends the box by everything that the cores of a body's parts pass between two knots.
+    /// Extends the box by everything that the cores of a body's parts (the parts without their radii) pass between two knots.
     fn passing(self, solid: &Solid, from: &Knot, to: &Knot) -> Self {
         if solid.ball().is_some() {
             let middles = [from, to].map(|knot| [0, 1, 2].map(|i| knot.place.base[i]));
@@ -162,7 +162,7 @@ impl Search<'_> {
     }
 }
 
-/// Returns the moments in a leaf at which one of the bodies has a knot, in order of time.
+/// Returns the moments at which one of the bodies has a knot, within one leaf (the shortest interval of the tree), in order of time.
 fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> {
     let from = time(leaf, leaves, a.ends).max(a.path.known_from()).max(b.path.known_from());
     let mut moments = path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends));

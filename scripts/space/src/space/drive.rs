@@ -13,8 +13,8 @@ use super::{Drive, Steering};
 const CHORD: f64 = 5e-5;
 /// Largest error of Simpson's rule over a whole act, in metres.
 const DRIFT: f64 = 1e-5;
-/// Approximate maximum number of points of a path in an act. If more would be needed, the deviation from the polyline is larger, and
-/// reported.
+/// Approximate maximum number of points of a path in an act. If more points would be needed, the body deviates further from the polyline,
+/// and the deviation is reported.
 const POINTS_MAX: f64 = 200_000.0;
 
 /// The pose of a driven body on the ground.
@@ -71,7 +71,8 @@ impl Pose {
 }
 
 impl Drive {
-    /// Converts the values of both devices: the speeds of the wheels in m/s, or the forward speed in m/s and the turn rate in rad/s.
+    /// Converts the values of both devices to a forward speed and a turn rate. The values are the speeds of the wheels in m/s, or already
+    /// the forward speed in m/s and the turn rate in rad/s.
     fn twist(&self, [first, second]: [f64; 2]) -> Twist {
         match &self.steering {
             Steering::Wheels { track, .. } => {
@@ -143,7 +144,7 @@ impl Leg {
         }
     }
 
-    /// Returns an upper bound on the acceleration, along the path and across it together, in m/s².
+    /// Returns an upper bound on the total acceleration (along the path and across it) in m/s².
     fn acceleration(&self) -> f64 {
         self.rates().ahead.hypot(self.speed() * self.turn())
     }
@@ -154,8 +155,9 @@ impl Leg {
         (self.acceleration() + lever * self.rates().turn.abs()) * seconds * seconds / 8.0
     }
 
-    /// Returns a bound on the fourth derivative of the velocity. Its direction `g` is that of the yaw; with the turn rate `w` and its
-    /// change `c`, `g'' = (ic - w²) g`, `g''' = -(3wc + iw³) g`, `g'''' = (w⁴ - 3c² - 6icw²) g`.
+    /// Returns a bound on the fourth derivative of the velocity. The velocity's direction, as a complex number `g`, has the angle of the
+    /// yaw. With the turn rate `w` and its rate of change `c`: `g'' = (ic - w²) g`, `g''' = -(3wc + iw³) g`, `g'''' = (w⁴ - 3c² - 6icw²)
+    /// g`.
     fn fourth(&self) -> f64 {
         let (v, w, rates) = (self.speed(), self.turn(), self.rates());
         let (a, c) = (rates.ahead.abs(), rates.turn.abs());
@@ -176,7 +178,7 @@ impl Leg {
         for_chords.max(for_drift).max(1.0)
     }
 
-    /// Returns the speeds, and the yaw, when `seconds` of the interval have passed; `yaw` is the yaw at its start.
+    /// Returns the speeds and the yaw `seconds` after the start of the interval; `yaw` is the yaw at that start.
     fn after(&self, seconds: f64, yaw: f64) -> (Twist, f64) {
         let rates = self.rates();
         let twist = Twist {
@@ -186,7 +188,7 @@ impl Leg {
         (twist, yaw + f64::midpoint(self.begin.turn, twist.turn) * seconds)
     }
 
-    /// Returns the movement in x and y between two moments of the interval.
+    /// Returns the movement in x and y between two moments of the interval; `yaw` is the yaw at its start.
     fn way(&self, [from, to]: [f64; 2], yaw: f64) -> [f64; 2] {
         let middle = f64::midpoint(from, to);
         let (twist, course) = self.after(middle, yaw);
@@ -240,7 +242,8 @@ fn peak(legs: &[Leg], rate: fn(&Leg) -> f64) -> Option<Peak> {
     peaks.max_by(|a, b| a.rate.total_cmp(&b.rate))
 }
 
-/// Returns the largest acceleration, in an interval or at a jump of the speed. A jump is divided by the mean of the adjacent intervals.
+/// Returns the largest acceleration, in an interval or at a jump of the speed. A jump is divided by the mean length of the adjacent
+/// intervals.
 fn acceleration(legs: &[Leg]) -> Option<Peak> {
     let jump = |pair: &[Leg]| {
         let middles = [&pair[0], &pair[1]].map(|leg| f64::midpoint(leg.from, leg.to));

@@ -52,7 +52,7 @@ pub struct Volume {
 pub struct Body {
     /// x, y, z, and the rotation about z, from x to y. For a body with a drive, x, y and the rotation are those of its start.
     pub coordinates: [Coordinate; 4],
-    /// Drive of a body that speeds move; `None` for other bodies.
+    /// Drive of a body that is moved by speeds; `None` for other bodies.
     pub drive: Option<Drive>,
     /// Shape of the base, centred at x, y and z. A ball of radius 0 is a point or, if the body has joints, no shape.
     pub shape: Shape,
@@ -66,7 +66,7 @@ pub struct Body {
     pub acceleration: Option<f64>,
 }
 
-/// How a body moves whose devices are driven by speed: forward along its yaw, and about itself.
+/// How a body moves whose devices set speeds: forward along its yaw, and around its middle.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drive {
     /// Meaning of the devices' speeds.
@@ -169,7 +169,8 @@ impl Shape {
         }
     }
 
-    /// Returns half of the shape's least width, in metres: in any rotation, no other body comes closer to the shape's middle.
+    /// Returns half of the shape's least width, in metres. However the shape is rotated, another body that is closer to its middle
+    /// overlaps it.
     pub fn inner_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
@@ -219,10 +220,10 @@ impl DrivenPath {
 pub struct BodyUse {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Largest speed in m/s, without the possible increase by rounding of steps.
+    /// Largest speed in m/s. It does not include a possible increase by the rounding of steps.
     #[serde(rename = "speed_m_s")]
     pub speed: f64,
-    /// Largest acceleration in m/s², without the possible increase by rounding of steps.
+    /// Largest acceleration in m/s². It does not include a possible increase by the rounding of steps.
     #[serde(rename = "acceleration_m_s2")]
     pub acceleration: f64,
 }
@@ -250,8 +251,8 @@ impl Space {
         self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
     }
 
-    /// Returns the least permitted distance between the middles of any two of these bodies, in metres. It depends on the radii of the
-    /// two smallest ones.
+    /// Returns the least permitted distance between the middles of any two of the given bodies, in metres. It depends on the inner radii
+    /// of the two smallest ones.
     pub fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
         let mut radii: Vec<f64> = bodies.map(|body| body.shape.inner_radius()).collect();
         radii.sort_unstable_by(f64::total_cmp);

@@ -7,7 +7,7 @@ use parry3d_f64::query::details::{
 };
 use parry3d_f64::shape::{Cuboid, Segment, SupportMap};
 
-/// Distance in metres below which two cores touch, so that no direction separates them.
+/// Distance in metres below which two cores (parts without their radii) touch, so that no direction separates them.
 const TOUCH: f64 = 1e-12;
 
 /// All points within a radius of a core, which form a ball, a capsule, or a box.

@@ -120,7 +120,7 @@ impl Stretch {
     }
 }
 
-/// Returns the change of speed where two intervals meet, divided by the mean of their lengths: the second divided difference.
+/// Returns, for each two adjacent intervals, the change of speed divided by the mean of their lengths: the second divided difference.
 fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
     let change = |pair: &[Stretch]| {
         let (from, to) = (pair[0].middle(), pair[1].middle());
@@ -211,8 +211,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// Creates the path of a body from `axes`: x, y, z, yaw and the joints. `sure` is whether the place at the act's start is certain,
-    /// so that a jump from it is a movement as well.
+    /// Creates the path of a body from `axes`: x, y, z, yaw and the joints. `sure` is whether the place at the act's start is certain; a
+    /// jump from it is then a movement as well.
     pub fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();
@@ -296,7 +296,7 @@ struct Sides {
 }
 
 impl Sides {
-    /// Returns the places at the time `at`, which `knots` must cover. Removes knots that are no longer needed.
+    /// Returns the places at the time `at`, which `knots` must cover. Removes knots that later times do not need.
     fn at(knots: &mut Vec<Knot>, at: f64) -> Self {
         let first = knots.partition_point(|knot| knot.at < at);
         let last = knots.partition_point(|knot| knot.at <= at);

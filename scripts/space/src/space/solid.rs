@@ -8,7 +8,7 @@ use super::part::{Core, Part};
 use super::place::Place;
 use super::{Body, Shape, Volume};
 
-/// Distance that stands for a missing side of a volume, in metres.
+/// Distance in metres at which a volume ends on a side without a limit.
 const FAR: f64 = 1e5;
 
 /// The shape of a body with its arm, at any place.
@@ -47,7 +47,7 @@ impl Solid {
         }
     }
 
-    /// Returns the largest radius of the body's parts about their cores.
+    /// Returns the largest radius of the body's parts, in metres. A part consists of all points within its radius of a core.
     pub(super) fn reach(&self) -> f64 {
         let ball = match self.base {
             Some(Shape::Ball { radius }) => radius,
@@ -56,8 +56,8 @@ impl Solid {
         self.margin + self.chain.radii().fold(ball, f64::max)
     }
 
-    /// Returns the largest distance of the parts' cores from the vertical line through the body's middle, in metres. `largest` contains
-    /// the largest absolute value of each joint.
+    /// Returns the largest distance of the cores (the body's parts without their radii) from the vertical line through the body's middle,
+    /// in metres. `largest` contains the largest absolute value of each joint.
     pub fn lever(&self, largest: &[f64]) -> f64 {
         self.base.map_or(0.0, Shape::lever).max(self.chain.reach(largest))
     }
@@ -97,7 +97,7 @@ impl Shape {
         }
     }
 
-    /// Returns the largest movement of a point while the shape turns by one radian about z.
+    /// Returns the largest movement of a point of the shape while the shape turns by one radian about z, in metres.
     fn lever(self) -> f64 {
         match self {
             Self::Ball { .. } => 0.0,

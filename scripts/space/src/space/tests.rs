@@ -212,7 +212,7 @@ fn body() -> impl Strategy<Value = ([Vec<(f64, f64)>; 4], Shape)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// The search finds no larger distance than any of many sampled moments, and no smaller one than these permit.
+    /// The search finds a distance that is at most the least of many sampled distances, and that the bodies have at the reported time.
     #[test]
     fn the_closest_approach_is_that_of_a_slow_search(a in body(), b in body()) {
         let ends = 20.0;
@@ -231,7 +231,7 @@ proptest! {
         prop_assert!((found.distance - gap(found.at)).abs() < 1e-6, "{found:?}, but there {}", gap(found.at));
     }
 
-    /// The result does not depend on the depth of the tree.
+    /// The closest approach does not depend on the depth of the tree.
     #[test]
     fn the_depth_of_the_trees_changes_nothing(a in body(), b in body(), deep in 0u32..8) {
         let found = [3, deep].map(|depth| {
@@ -293,7 +293,8 @@ fn distance_of_boxes(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> f64 {
 }
 
 proptest! {
-    /// The library computes the distance between boxes; one of its methods is wrong in one of sixteen cases.
+    /// The distance between boxes is the one that geometry gives. It is computed by a library, one of whose methods is wrong in one of
+    /// sixteen cases.
     #[test]
     fn the_distance_of_boxes_is_what_geometry_says(
         size in [[0.05f64..1.0, 0.05..1.0, 0.05..1.0], [0.05f64..1.0, 0.05..1.0, 0.05..1.0]],

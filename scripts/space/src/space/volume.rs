@@ -9,13 +9,13 @@ use super::way::EXACT;
 
 /// Maximum number of checks between two knots.
 const LOOKS_MAX: f64 = 1e4;
-/// Distance in metres up to which leaving a volume is rounding.
+/// Largest distance in metres by which a body may leave a volume because of rounding.
 const ROUNDING: f64 = 5e-7;
 
 /// Returns the largest distance by which a body is outside a volume, and its time. `None` if the body never leaves the volume.
 ///
-/// Between two checks, a turning body may be further outside than at both, by at most `EXACT`: an eighth of the second derivative of the
-/// movement of its points times the time squared.
+/// Between two checks, a turning body may be further outside than at both of them, by at most `EXACT`: an eighth of the second derivative
+/// of the movement of its points times the time squared.
 pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     let mut worst = Approach { at: 0.0, distance: 0.0 };
     let mut note = |at: f64, place: &Place| {

@@ -157,7 +157,8 @@ impl<'a> Way<'a> {
         (exact, steepest.is_finite() && steepest * (to.s - from.s) >= exact)
     }
 
-    /// Searches for a closer approach between two moments, unless it could be closer than `best` by at most [`EXACT`].
+    /// Searches for an approach between two moments that is closer than `best`. Ignores an approach that is closer by at most the
+    /// accuracy ([`EXACT`]).
     fn narrow(&self, ends: [&Look; 2], mut pairs: Vec<Pair>, best: &mut Best) {
         let (exact, divided) = self.exact(&pairs, ends);
         pairs.retain(|pair| self.least(pair, ends) < best.approach.distance - exact);

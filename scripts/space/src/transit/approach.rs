@@ -4,7 +4,7 @@ use super::way::Way;
 use crate::formation::{Point, metres_between};
 use downbeat_motion::motion::Easing;
 
-/// Metres by which a distance may be larger than reported, if no formula gives the distance.
+/// Amount in metres by which the true distance may exceed the reported one, if no formula gives the distance.
 pub const SLACK: f64 = 1e-3;
 /// Maximum number of times at which two routes are sampled.
 const LOOKS_MAX: u32 = 50_000;
@@ -18,7 +18,7 @@ pub struct Approach {
     pub at: f64,
 }
 
-/// Returns the closest approach of two routes if it is below `enough`, in metres. If the result is `None`, the routes are no closer than
+/// Returns the closest approach of two routes if it is below `enough`, in metres. `None` means that the routes are no closer than
 /// `enough`, except for [`SLACK`].
 pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
@@ -27,7 +27,8 @@ pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if a.is_even_with(b) { Some(together(a, b)) } else { searched(a, b, enough) }
 }
 
-/// Whether [`closest`] may find an approach. A cheap test, which is exact for straight routes with the same time law.
+/// Whether [`closest`] may find an approach. The test is cheap; it is exact for straight routes with the same time law (start and
+/// duration).
 pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) {
         Line::between(a, b).nearest().0 < enough
@@ -36,7 +37,7 @@ pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     }
 }
 
-/// Whether [`closest`] finds an approach. Faster than calling [`closest`], if there is an approach.
+/// Whether [`closest`] finds an approach. If an approach exists, this is faster than calling [`closest`].
 pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) || !may_meet(a, b, enough) {
         return may_meet(a, b, enough);
@@ -55,7 +56,7 @@ fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
     gap(0).hypot(gap(1)).hypot(gap(2))
 }
 
-/// The route of one body relative to another body, if both have the same time law.
+/// The route of one body relative to another body, if both have the same time law (start and duration).
 struct Line {
     from: Point,
     vector: Point,
@@ -80,7 +81,8 @@ impl Line {
     }
 }
 
-/// Computes the approach of straight routes with the same time law: relative to one body, the other body moves along a line.
+/// Computes the approach of straight routes with the same time law (start and duration): relative to one body, the other body moves along
+/// a line.
 fn together(a: &Way, b: &Way) -> Approach {
     let (distance, u) = Line::between(a, b).nearest();
     Approach { distance, at: a.begin + a.length * Easing::smooth_time(u) }

@@ -21,7 +21,7 @@ pub enum Least {
 /// For each start, the index of its place; `None` for a surplus start without a place.
 pub type Assignment = Vec<Option<usize>>;
 
-/// An assignment with its quality: `proven` is the share of its sum that is a proven lower bound for all assignments.
+/// An assignment with its quality: `proven` times its sum of prices is a proven lower bound on the sum of any assignment.
 pub struct Cheapest {
     pub assignment: Assignment,
     pub proven: f64,
@@ -30,7 +30,7 @@ pub struct Cheapest {
 /// The price of a distance: a power of the distance. An assignment minimizes the sum of prices.
 #[derive(Clone, Copy, Debug)]
 pub struct Price {
-    /// Excess of the exponent over 1, in sixteenths, at most 16.
+    /// The exponent of the power minus 1, in sixteenths: from 0 for the distance itself to 16 for its square.
     pub sixteenths: u8,
     /// Longest permitted distance, in metres.
     pub longest: f64,
@@ -47,7 +47,7 @@ pub struct Ways<'a> {
 }
 
 impl<'a> Ways<'a> {
-    /// Creates the problem that gives each start a place or, if there are fewer places, each place a start. Surplus starts move to their
+    /// Creates the problem of giving each start a place or, if there are fewer places, each place a start. Surplus starts move to their
     /// place in `spare`, which is in the order of `starts`.
     pub fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
         let row = |(start, spare): (&Point, &Point)| Row {
@@ -70,7 +70,7 @@ impl<'a> Ways<'a> {
         self.cheapest_within(price, COMPARED_MAX)
     }
 
-    /// Like [`Self::cheapest`], with another number of comparisons after which a large group may stop early.
+    /// Like [`Self::cheapest`], but a large group may stop early after `compared_max` comparisons.
     pub(super) fn cheapest_within(&self, price: Price, compared_max: u64) -> Cheapest {
         if self.rows.is_empty() {
             return Cheapest { assignment: Vec::new(), proven: 1.0 };
@@ -83,8 +83,9 @@ impl<'a> Ways<'a> {
         Cheapest { assignment: assignment.collect(), proven }
     }
 
-    /// Moves the starts to the middle of the places, where near places are found faster, if that keeps the order of all sums. Also
-    /// returns the longest distance. With squares as prices, this adds the same amount to each sum.
+    /// Moves all starts by the same vector to the middle of the places, where near places are found faster. Also returns the longest
+    /// possible distance. `None` if the move could change the order of the sums. With squares as prices, it adds the same amount to each
+    /// sum.
     #[expect(clippy::cast_precision_loss, reason = "there are few points")]
     fn centred(&self, price: Price) -> Option<(Vec<Row>, f64)> {
         if price.sixteenths < 16 || price.longest.is_finite() || self.starts != self.places.len() {

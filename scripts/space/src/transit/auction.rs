@@ -28,7 +28,7 @@ const ONLY: f64 = 1.0;
 pub(super) struct Sold {
     /// Column of each row.
     pub(super) columns: Vec<usize>,
-    /// The share of the sum of costs that is a proven lower bound for all assignments.
+    /// A proven lower bound on the sum of costs of any assignment, as a share of this assignment's sum.
     pub(super) proven: f64,
 }
 
@@ -60,8 +60,8 @@ struct Auction<'a> {
     of_column: Vec<Option<usize>>,
 }
 
-/// Sells the columns to the same number of rows, so that the sum of costs is minimal. An assignment within the longest permitted
-/// distance must exist.
+/// Sells the columns (places) to the same number of rows (starts), so that the sum of costs is minimal. An assignment within the longest
+/// permitted distance must exist.
 pub(super) fn sell(rows: &[Row], columns: Columns, cost: Cost, compared_max: u64) -> Sold {
     assert_eq!(rows.len(), columns.count());
     let known = Known { columns: Vec::new(), beyond: f64::NEG_INFINITY };
@@ -136,7 +136,8 @@ impl Auction<'_> {
         Best { position: found[0].1, value: found[0].0, second: found[1].0 }
     }
 
-    /// Returns a proven lower bound on the sum of costs, as a share of the sum: the sum of each row's best value, minus all prices.
+    /// Returns a proven lower bound on the sum of costs of any assignment, as a share of the present sum. The bound is the sum of each
+    /// row's best value, minus all prices.
     fn proven(&mut self) -> f64 {
         let (mut sum, mut excess) = (0.0, 0.0);
         for row in 0..self.rows.len() {

@@ -1,4 +1,5 @@
-//! The least longest distance of an assignment, by a search for the length within which each row can have a column.
+//! The least longest distance of an assignment of rows (starts) to columns (places), by a search for the length within which each row can
+//! have a column.
 //!
 //! A length is tested by augmenting paths from all rows without a column at once. A k-d tree returns the columns that no path has
 //! reached yet, so each search reaches a column only once (Efrat, Itai and Katz, Algorithmica 31, 2001).
@@ -6,7 +7,7 @@
 use super::assignment::Price;
 use super::columns::{Columns, Cost, Row};
 
-/// Price of occupied columns. It exceeds the cost of any distance, so that paths prefer free columns.
+/// Price of a column that is already taken. It exceeds the cost of any distance, so that paths prefer free columns.
 const TAKEN: f64 = 2.0;
 
 /// Returns the least length, in metres, within which each row can have a column. There are as many columns as rows, and `unit` is at
@@ -32,7 +33,7 @@ pub(super) fn shortest_longest(rows: &[Row], columns: Columns, unit: f64) -> f64
     most
 }
 
-/// The assignment of rows to columns and vice versa; columns are given by their positions in the tree.
+/// The assignment of rows (starts) to columns (places) and vice versa; columns are given by their positions in the tree.
 #[derive(Clone)]
 struct Taken {
     of_row: Vec<Option<usize>>,

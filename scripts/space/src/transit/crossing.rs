@@ -6,9 +6,9 @@ use super::way::{CURVATURE, SLOPE, Way};
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 use downbeat_yaml::budget::Budget;
 
-/// Prices to try one after another, as powers of the distances: each number is the excess of the exponent over 1, in sixteenths. The
-/// least sum of squares keeps straight routes apart if starts and places are far enough from each other (Turpin, Michael and Kumar, Int.
-/// J. Robotics Research 33, 2014).
+/// Prices to try one after another, as powers of the distances: each number is the exponent minus 1, in sixteenths. The least sum of
+/// squares keeps straight routes apart if starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics
+/// Research 33, 2014).
 const SIXTEENTHS: [u8; 5] = [0, 1, 2, 6, 16];
 /// Like [`SIXTEENTHS`], for large groups: fewer prices, the most promising ones first.
 const SIXTEENTHS_OF_LARGE: [u8; 3] = [0, 16, 6];
@@ -18,7 +18,7 @@ const LARGE: usize = 300;
 const TOTAL_MAX: f64 = 1.01;
 /// Number of parts into which the duration is divided for delays.
 const DELAY_PARTS: u8 = 8;
-/// Maximum number of parts of the duration that a body waits.
+/// Longest wait of a body before or after its movement, in parts of the duration ([`DELAY_PARTS`]).
 const WAITS_MAX: u8 = 5;
 /// Maximum number of layers of arcs above, and below, the straight route.
 const LAYERS_MAX: u8 = 4;
@@ -150,8 +150,8 @@ pub enum Refused {
 /// Tolerance factor for rounding errors in the computed time.
 const ENOUGH: f64 = 1.0 + 1e-9;
 
-/// Routes that keep all bodies apart, with the permitted deviation of each body's steps, in metres. This is less than [`Body::error`]
-/// for bodies that begin or end close to each other.
+/// Routes that keep all bodies apart, with the permitted deviation of each body's steps, in metres. The deviation is less than
+/// [`Body::error`] for bodies that begin or end close to each other.
 #[derive(Clone, Debug)]
 pub struct Crossed {
     pub ways: Vec<Way>,
@@ -265,7 +265,8 @@ impl Crossing<'_> {
         self.least(a, b) + self.bodies[a].error + self.bodies[b].error + SLACK
     }
 
-    /// Reduces the permitted errors of bodies that begin or end close to each other: each gets half of the pair's excess distance.
+    /// Reduces the permitted errors of bodies that begin or end close to each other: each gets half of the amount by which their distance
+    /// exceeds the least permitted one.
     fn crossed(&self, ways: Vec<Way>) -> Crossed {
         let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
         let (starts, ends): (Vec<Point>, Vec<Point>) = ways.iter().map(|way| (way.from, way.to)).unzip();
@@ -320,8 +321,8 @@ impl Crossing<'_> {
         others.filter(too_close).take(most).count()
     }
 
-    /// Delays single bodies or leads them in arcs until all bodies keep apart; otherwise returns the closest pair. Each body that comes
-    /// too close to others takes the route with the fewest conflicts (Minton et al., Artificial Intelligence 58, 1992).
+    /// Delays single bodies or leads them in arcs until all bodies keep apart. If that fails, returns the closest pair. Each body that
+    /// comes too close to others takes the route with the fewest conflicts (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX.max(PAIRS_PER_BODY_MAX * ways.len()));
         let mut fewest = (near.clone(), ways.to_vec());
@@ -365,8 +366,8 @@ impl Crossing<'_> {
         })
     }
 
-    /// Leads a body along the route on which it comes too close to the fewest others. Later rounds also accept an equivalent route, a
-    /// different one in each round, so that bodies leave local minima.
+    /// Leads a body along the route on which it comes too close to the fewest others. Later rounds also accept a route with as many
+    /// conflicts, a different one in each round, so that bodies leave local minima.
     fn avoid(&self, ways: &mut [Way], body: usize, round: usize, room: &mut Budget) {
         let mut best = ways[body];
         let mut fewest = self.conflicts(ways, body, usize::MAX);

@@ -193,7 +193,7 @@ fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way()
     }
 }
 
-/// Returns the least sum of distances by the Hungarian algorithm, in metres. It adds integers of nanometres.
+/// Returns the least sum of distances by the Hungarian algorithm, in metres. Distances are added as whole numbers of nanometres.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "ways are short")]
 fn hungarian(starts: &[Point], places: &[Point], spare: &[Point]) -> f64 {
     let left_over = starts.len().saturating_sub(places.len());

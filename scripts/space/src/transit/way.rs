@@ -8,7 +8,8 @@ pub const SLOPE: f64 = 1.875;
 /// Largest second derivative of the time law: 10/sqrt(3).
 pub const CURVATURE: f64 = 5.773_502_691_896_258;
 
-/// A route: from + (to - from) u + lift 4 u (1 - u) upwards, where u is the time law of the share of the duration.
+/// A route: from + (to - from) u + lift 4 u (1 - u) upwards. Here, u is the minimum jerk law at the share of the duration that has
+/// passed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Way {
     /// Start of the route, in metres.
@@ -48,7 +49,7 @@ impl Way {
         at
     }
 
-    /// Returns an upper bound on the movement per unit of the time law, in metres.
+    /// Returns an upper bound on the body's movement per unit of the time law, which rises from 0 to 1, in metres.
     pub fn reach(&self) -> f64 {
         let [x, y, z] = self.vector();
         x.hypot(y).hypot(z.abs() + 4.0 * self.lift.abs())
@@ -70,7 +71,7 @@ impl Way {
         [least, most]
     }
 
-    /// Whether both routes are straight and have the same time law.
+    /// Whether both routes are straight and have the same time law (start and duration).
     pub(super) fn is_even_with(&self, other: &Self) -> bool {
         (self.begin, self.length) == (other.begin, other.length) && self.lift == 0.0 && other.lift == 0.0
     }

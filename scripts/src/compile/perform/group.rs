@@ -24,7 +24,7 @@ use fixes::Fixes;
 mod fixes;
 mod told;
 
-/// What the movement of a group depends on apart from its cue.
+/// The data that determine the movement of a group, apart from its cue.
 #[derive(Clone, Copy)]
 pub(in crate::compile) struct Ground<'g> {
     pub(in crate::compile) of_scenario: ensemble::Ground<'g>,
@@ -41,10 +41,10 @@ struct Grouped<'g> {
     time: &'g CueTime,
 }
 
-/// A group in the order in which groups are processed.
+/// A group in the queue of groups that are processed one after the other.
 struct Turn<'g> {
     grouped: Grouped<'g>,
-    /// Whether all groups that move one of this group's robots earlier are processed before it.
+    /// Whether its robots' starting places are known: every group that moves one of the robots earlier is processed earlier.
     is_known: bool,
 }
 
@@ -85,7 +85,7 @@ fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
 }
 
 impl<'a> Performer<'_, 'a> {
-    /// Processes the groups of an act in order of time, since each group begins where the previous movements end.
+    /// Processes the groups of an act in order of time, because each group begins where the previous movements end.
     pub(in crate::compile) fn groups(
         &mut self,
         act: &Act,
@@ -158,8 +158,8 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// If a group with too little time would move to places beyond the limits of devices, reports these places. Returns whether there
-    /// are any.
+    /// For a group with too little time, reports the places beyond the limits of devices to which it would move with enough time. Returns
+    /// whether there are any.
     fn leads_out(
         &mut self,
         grouped: Grouped<'_>,
@@ -185,7 +185,8 @@ impl<'a> Performer<'_, 'a> {
         self.hint_within_limits(grouped, dancers, &ways, ground, before)
     }
 
-    /// Sets the same hint for all findings since `before` about places beyond the limits. Returns whether there are such places.
+    /// Sets the same hint for all findings from the index `before` on that are about places beyond the limits. Returns whether there are
+    /// such places.
     fn hint_within_limits(
         &mut self,
         Grouped { cue, group, .. }: Grouped<'_>,
@@ -213,7 +214,7 @@ impl<'a> Performer<'_, 'a> {
         true
     }
 
-    /// Returns the robots of a group, each with its place at its own start.
+    /// Returns the robots of a group, each with its place at the instant at which it begins to move. `None` if a place is unknown.
     fn dancers(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> Option<Vec<Dancer<'a>>> {
         let Grouped { cue, group, members, time } = grouped;
         let cast = self.cast;
@@ -242,7 +243,8 @@ impl<'a> Performer<'_, 'a> {
         (without.is_empty() && unknown.is_empty()).then_some(dancers)
     }
 
-    /// Reports coordinates that still move when the cue begins, if `counts` selects them. Returns whether there are any.
+    /// Reports coordinates that an earlier movement still changes when the cue begins, if `counts` returns `true` for them. Returns
+    /// whether there are any.
     fn tell_moving(
         &mut self,
         grouped: Grouped<'_>,
@@ -270,7 +272,8 @@ impl<'a> Performer<'_, 'a> {
         is_moving
     }
 
-    /// Returns a coordinate of a robot at the time `at` of the act, in metres, where the last preceding movement has left it.
+    /// Returns a coordinate of a robot, in metres, at the time `at` since the act's start: where the last preceding movement has left it.
+    /// `None` if this is unknown.
     fn standing(&self, robot: usize, axis: &Axis<'_>, at: Span, positions: &Positions<'_>) -> Option<f64> {
         let (index, scale, offset) = match *axis {
             Axis::Fixed(value) => return Some(value),
@@ -288,7 +291,7 @@ impl<'a> Performer<'_, 'a> {
         Some(offset + scale * value)
     }
 
-    /// Fits the movements on all processors if there are many.
+    /// Fits the movements ahead, on all processors, if there are many of them.
     fn fit_ahead(&mut self, dances: &[Dance<'_>]) {
         if dances.len() < WAYS_MIN {
             return;
@@ -327,7 +330,7 @@ impl<'a> Performer<'_, 'a> {
     }
 }
 
-/// The movement of one device in the movement of a group.
+/// The movement of one device that is part of the movement of a group.
 struct Dance<'a> {
     robot: usize,
     /// Index of the device in the robot's list of devices.
@@ -339,7 +342,7 @@ struct Dance<'a> {
     track: Track,
 }
 
-/// Returns the movements of one robot's devices in a group.
+/// Returns the movements of the devices of one robot in a group.
 fn dances<'a>(cue: &Cue, group: &Together, dancer: &Dancer<'a>, moved: &Moved) -> Vec<Dance<'a>> {
     // A robot that begins late ends with the others, to the nanosecond.
     let begin = Span::from_millis_f64(moved.begin * 1_000.0);

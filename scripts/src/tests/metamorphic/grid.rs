@@ -65,7 +65,7 @@ fn wish(tolerance: Option<f64>) -> String {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
 
-    /// Both limits are between the same two multiples of the granularity, so that the device can be set to the same values.
+    /// Both pairs of limits are between the same multiples of the granularity, so the device can be set to the same values.
     #[test]
     fn limits_wider_by_less_than_the_grid_change_no_step(
         (moves, movement) in moving(), change in written(), tolerance in tolerances(),

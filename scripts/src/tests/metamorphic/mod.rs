@@ -1,5 +1,5 @@
-//! Metamorphic tests. They change a scenario in a way that determines how its findings and its plan change, so that no test needs to
-//! know either of them. The shows are those of the second evaluation of transitions.
+//! Metamorphic tests. They change a scenario in a way that determines how its findings and its plan change, so that no test needs to know
+//! either of them. The module `ways` draws the shows.
 
 mod grid;
 mod order;

@@ -1,5 +1,5 @@
 //! Metamorphic tests of loops: acts in a loop are equivalent to the same acts written one after another. An act after other acts is
-//! equivalent to a single act of a fleet that begins where these leave the devices.
+//! equivalent to the only act of a show whose devices begin where the other acts leave them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,7 +21,7 @@ fn rounds(show: &Show, times: usize) -> Show {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(80) })]
 
-    /// The last act leads back to the first one; the mission ends if the operator does not give the go.
+    /// The looped show leads from its last act back to the first one. It ends if the operator does not give the go.
     #[test]
     fn a_loop_has_the_findings_of_its_rounds(show in shows()) {
         let once = rounds(&show, 1);

@@ -7,17 +7,17 @@ use super::path::Laid;
 use super::{Along, Cue, Does, Formation, GAP, Point, ROBOTS, Shape, Show, Steps, Sweep, fleet, steps_of};
 use crate::{Act, Code, Compiled};
 
-/// Permitted deviation of steps in metres: the error of the devices on each axis, plus their grid.
+/// Permitted deviation of a robot from its place, in metres: the errors of the devices on all axes, plus their grid.
 const OFF: f64 = 0.002 * 1.733 + 0.001;
-/// Required distance between two bodies from middle to middle, in metres.
+/// Required distance between two bodies, from middle to middle, in metres.
 const CLEAR: f64 = 0.4;
 const SPEED: f64 = 5.0;
 /// Number of sampled times of each cue.
 const LOOKS: u32 = 60;
-/// Permitted ratio of the distances to the least ones, because bodies that must wait or evade take routes of other lengths.
+/// Factor by which the distances may exceed those of the best assignment: bodies that must wait or evade take other routes.
 const LONGER: f64 = 1.01;
 
-/// Returns the progress of a movement from rest to rest: minimum jerk.
+/// Returns the progress, from 0 to 1, of a movement from rest to rest with minimum jerk, after a share of its time.
 fn gone(share: f64) -> f64 {
     let s = share.clamp(0.0, 1.0);
     s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
@@ -101,7 +101,7 @@ impl Formation {
     }
 }
 
-/// The expected places of a cue's robots at a share of their own time, if they are known.
+/// The expected movement of the robots of a cue. A robot's place depends on the share of its own time that has passed.
 struct Course<'a> {
     sweep: &'a Sweep,
     center: Point,
@@ -137,7 +137,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// Returns all assignments of places to robots. Each assigns as many places as possible, and each place at most once.
+/// Returns all assignments of places to robots that use as many places as possible, and each place at most once.
 fn assignments(robots: usize, places: usize) -> Vec<Vec<Option<usize>>> {
     fn more(
         robot: usize,
@@ -183,8 +183,8 @@ fn home(robot: usize) -> Point {
 }
 
 impl Cue {
-    /// Returns all possible sets of final places of the cue; `None` if the numbers differ and the cue does not choose how to handle
-    /// this.
+    /// Returns all possible sets of final places of the cue's robots. `None` if the numbers of robots and places differ and the cue does
+    /// not state how to handle this.
     fn ends(&self, from: &[Point]) -> Option<Vec<Vec<Point>>> {
         let Does::Form { formation, spare, evenly, .. } = &self.does else { return Some(Vec::new()) };
         let count = self.robots.len();
@@ -210,7 +210,7 @@ impl Cue {
     }
 }
 
-/// Checks that the final places are those of an assignment, and that no assignment is much better.
+/// Checks that the final places result from an assignment of places to robots, and that no assignment is much better.
 fn formed(cue: &Cue, from: &[Point], ends: &[Point]) -> Result<(), TestCaseError> {
     let Does::Form { longest, .. } = cue.does else { return Ok(()) };
     let Some(all) = cue.ends(from) else { return Err(TestCaseError::fail("a choice that was not made")) };
@@ -301,7 +301,7 @@ fn within_limits(start: f64, end: f64, steps: &Steps) -> Result<(), TestCaseErro
     Ok(())
 }
 
-/// Checks that the steps of an act match the meaning of its cues.
+/// Checks that the steps of an act match the meaning of its cues. Returns the final places of the robots.
 fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<Point>, TestCaseError> {
     let steps = steps_of(planned, &fleet(), before);
     let mut now = before.to_vec();
@@ -323,7 +323,7 @@ fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<P
     Ok(now)
 }
 
-/// Whether a show can have the fault for which it was rejected.
+/// Whether the compiler may report this fault for a show, so that its rejection is correct.
 fn may_be(show: &Show, code: Code) -> bool {
     let cues = || show.acts.iter().flatten();
     match code {

@@ -32,7 +32,7 @@ const BEAT: i64 = 500;
 #[derive(Clone, Debug)]
 struct Show {
     acts: Vec<Vec<Cue>>,
-    /// Whether the cues of an act are those of a sequence, which receives the duration of each cue as a parameter.
+    /// Whether the cues of each act are written as a sequence, which receives the duration of each cue as a parameter.
     by_sequence: bool,
     /// Whether formations and paths are in a file that is included under a name, with their size as a parameter.
     by_include: bool,
@@ -47,7 +47,7 @@ struct Cue {
     over: i64,
     in_beats: bool,
     lag: i64,
-    /// Delay from each robot to the next, in milliseconds.
+    /// Delay between the starts of consecutive robots, in milliseconds.
     canon: i64,
 }
 
@@ -59,15 +59,15 @@ enum Does {
     Form {
         formation: Formation,
         longest: bool,
-        /// Whether surplus robots stay or go home.
+        /// Whether surplus robots stay where they are or go home; `None` if the key `spare` is not written.
         spare: Option<bool>,
-        /// Whether places are chosen at even steps instead of by distance, if there are fewer robots.
+        /// Whether surplus places are omitted at even steps or by distance; `None` if the key `thin` is not written.
         evenly: Option<bool>,
     },
     Sweep(Sweep),
 }
 
-/// A movement as one body. Angles are in degrees, other numbers in thousandths.
+/// A movement of the group as one body. Angles are in degrees, lengths in millimetres, and `grow` is in thousandths.
 #[derive(Clone, Debug)]
 struct Sweep {
     turn: i64,
@@ -101,7 +101,7 @@ enum PathShape {
 struct Formation {
     shape: Shape,
     at: [i64; 3],
-    /// Rotation in degrees: about the vertical, or as roll, pitch and yaw.
+    /// Rotation in degrees: a single number is an angle about the vertical, three numbers are roll, pitch and yaw.
     rotate: Result<i64, [i64; 3]>,
     scale: i64,
 }
@@ -125,7 +125,7 @@ fn fleet() -> Fleet {
     Fleet { robots, space, ..Fleet::default() }
 }
 
-/// Returns the text of the included file.
+/// A source of files that always returns the text of the included file.
 struct Shapes(String);
 
 impl Files for Shapes {
@@ -143,7 +143,7 @@ impl Show {
     }
 }
 
-/// Counts of compared shows and items.
+/// Numbers of compared shows and of the items in them.
 #[derive(Debug, Default)]
 struct Tally {
     planned: usize,

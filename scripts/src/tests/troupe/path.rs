@@ -1,14 +1,14 @@
-//! A path, represented by a large number of places.
+//! A path that is approximated by a large number of places.
 
 use super::{Path, PathShape, Point};
 
 /// Number of parts into which a circle, or the section between two points, is divided.
 const PARTS: usize = 4_000;
 
-/// Places along a path, each with its distance from the start along the path.
+/// Places along a path, each with its distance along the path from the path's start.
 pub(super) struct Laid {
     places: Vec<(f64, Point)>,
-    /// Whether the distances are in degrees of a circle.
+    /// Whether the path is a circle, and the distances are angles in degrees.
     is_circle: bool,
 }
 
@@ -43,7 +43,8 @@ fn bends(times: &[f64], values: &[f64]) -> Vec<f64> {
 }
 
 impl Path {
-    /// Returns the places along the path, turned and scaled about the origin, since only their differences matter.
+    /// Returns the places along the path, rotated and scaled about the origin. The centre does not matter, because only differences
+    /// between places are used.
     pub(super) fn laid(&self) -> Laid {
         let (sine, cosine) = (self.rotate as f64).to_radians().sin_cos();
         let scale = self.scale as f64 / 1_000.0;

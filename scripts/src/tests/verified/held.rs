@@ -1,4 +1,4 @@
-//! Finds the fewest values with which a holding device can follow a movement, by trying all values in many short intervals.
+//! Finds the fewest values with which a device that holds its values can follow a movement, by trying all values in many short intervals.
 
 use proptest::prelude::*;
 
@@ -9,7 +9,7 @@ use crate::DeviceUse;
 const CUTS: usize = 48;
 const PLACES: usize = 4;
 
-/// The possible values of a holding device: multiples of the third number from the first to the second.
+/// The possible values of a device that holds its values: from the first number to the second one, in multiples of the third one.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::tests) struct Values(
     pub(in crate::tests) f64,
@@ -24,12 +24,12 @@ impl Values {
         (value / granularity).round().clamp(low, high) * granularity
     }
 
-    /// Whether a value is in the middle between two grid values.
+    /// Whether a value is exactly in the middle between two grid values.
     fn is_between(self, value: f64) -> bool {
         ((value / self.2).rem_euclid(1.0) - 0.5).abs() < 1e-6
     }
 
-    /// Returns all possible values between two values.
+    /// Returns all possible values of the device from `low` to `high`.
     fn all(self, low: f64, high: f64) -> Vec<f64> {
         let (low, high) = (self.nearest(low), self.nearest(high));
         let count = ((high - low) / self.2).round() as usize;
@@ -37,17 +37,17 @@ impl Values {
     }
 }
 
-/// A movement, with the least and the largest value in each short interval.
+/// A movement, divided into short intervals, each with its smallest and its largest value.
 pub(in crate::tests) struct Held {
     times: Vec<(f64, f64)>,
-    /// Possible deviation of the movement beyond these values.
+    /// Amount by which the movement may exceed the sampled smallest and largest values.
     missed: f64,
-    /// The value of the first step; `None` if the movement begins with a level.
+    /// The value of the first step; `None` if the movement begins with a constant value, so that this value is not fixed.
     first: Option<f64>,
     last: f64,
-    /// Deviation of the device's last value from the written one.
+    /// Deviation of the device's last value from the written last value.
     off_at_end: f64,
-    /// Whether rounding decides which first or last value the device takes.
+    /// Whether the first or last value is in the middle between two grid values, so that rounding decides which one the device takes.
     is_unclear: bool,
     values: Values,
 }
@@ -97,7 +97,8 @@ impl Held {
         self.times.push((low, high));
     }
 
-    /// Returns the fewest steps within a tolerance, among those that change the value between two intervals; `None` if there are none.
+    /// Returns the smallest number of steps that stay within a tolerance, if values change only between two intervals. `None` if no such
+    /// number is known.
     pub(in crate::tests) fn suffice(&self, tolerance: f64) -> Option<usize> {
         if self.is_unclear || self.off_at_end > tolerance {
             return None;
@@ -126,8 +127,8 @@ impl Held {
     }
 }
 
-/// Checks a movement of a holding device whose keyframes are not sent one by one. Neither its steps nor their bound may exceed the
-/// sufficient number, and no other `most` steps may be closer by more than three percent.
+/// Checks the steps of a movement on a device that holds its values, if the movement is fitted. The number of steps and its reported
+/// bound may not exceed the sufficient number. No other `most` steps may have an error that is more than three percent smaller.
 pub(in crate::tests) fn as_few_as_can_be(
     used: &DeviceUse,
     held: &Held,

@@ -1,9 +1,9 @@
-//! Faults that the second evaluation found, each as one scenario.
+//! Faults of the compiler that the second evaluation found, each as one scenario.
 
 use super::{ROBOTS, compiled, fleet_of};
 use crate::{Choreography, Code, Fleet, RateLimits};
 
-/// Returns the codes and the lines of the findings.
+/// Returns the code and the line of each finding.
 fn found(text: &str, fleet: &Fleet) -> Vec<(Code, usize)> {
     let text = format!("scenario: s\n{text}");
     compiled(&text, fleet).findings.iter().map(|finding| (finding.code, finding.line)).collect()
@@ -15,7 +15,7 @@ fn choreography(text: &str, fleet: &Fleet) -> Choreography {
     compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings))
 }
 
-/// Both robots move to 20, then back to 10. After a failure, an act that begins at 10 follows.
+/// A show in which both robots move to 20, then back to 10. After a failure, an act follows that expects the position 10.
 const FAILURE: &str = "acts:
   - {act: one, on_failure: {RULES, then: two}, next: back, cues: [{robots: [a, b], tracks: {joint: [{at: 0s, to: 10}, {at: 1s, to: 20}]}}]}
   - {act: back, cues: [{robots: [a, b], tracks: {joint: [{at: 0s, to: 20}, {at: 1s, to: 10}]}}]}

@@ -8,7 +8,7 @@ fn words() -> impl Strategy<Value = Word> {
     prop::sample::select(vec![Word::Stop, Word::Home, Word::Without])
 }
 
-/// Draws a target: usually one of the acts, of which there may be fewer.
+/// Draws the target of a transition, usually an act. The show may have fewer acts than the drawn index requires.
 fn targets() -> impl Strategy<Value = Target> {
     prop_oneof![
         40 => (0usize..6).prop_map(Target::Act),
@@ -17,7 +17,7 @@ fn targets() -> impl Strategy<Value = Target> {
     ]
 }
 
-/// Draws a value of a device: on its grid, rarely off it, and very rarely outside the limits.
+/// Draws a value of a device: usually on its grid, rarely off the grid, and very rarely outside the limits.
 fn values(device: usize) -> impl Strategy<Value = f64> {
     let kind = &DEVICES[device];
     let ([min, max], step) = (kind.limits, kind.granularity);

@@ -8,7 +8,7 @@ use crate::Code;
 
 const LINE_OF_LEASE: usize = 3;
 
-/// The position of a device, and whether a movement has left the device there.
+/// The position of a device. `is_sure` is whether a movement has left the device there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pose {
     pub(super) value: f64,
@@ -45,7 +45,8 @@ impl Kind {
         (self.multiple(value) - value).abs() < 1e-6
     }
 
-    /// Returns the nearest multiple of the granularity within the limits, found by stepping inward.
+    /// Returns the multiple of the granularity within the limits that is nearest to a value. Steps inward from the nearest multiple if
+    /// that is outside.
     fn nearest(&self, value: f64) -> f64 {
         let mut nearest = self.multiple(value);
         while nearest > self.limits[1] + 1e-9 {
@@ -57,7 +58,7 @@ impl Kind {
         nearest
     }
 
-    /// Returns the fault of a position; `None` if it is valid.
+    /// Returns the fault that the value of a position causes; `None` if the value is valid.
     fn fault(&self, value: f64, snap: bool) -> Option<Code> {
         match (self.contains(value), self.is_on_grid(value)) {
             (true, true) => None,
@@ -70,7 +71,7 @@ impl Kind {
 }
 
 impl Cue {
-    /// Returns the value to which the device is set; `snap` moves positions to the grid.
+    /// Returns the value to which the device is set. If `snap` is set, positions are moved to the grid.
     pub(super) fn set(&self, value: f64, snap: bool) -> f64 {
         if snap && !self.by_speed { self.kind().nearest(value) } else { value }
     }
@@ -84,7 +85,7 @@ impl Cue {
         self.set(self.keyframes[self.keyframes.len() - 1].1, snap)
     }
 
-    /// Returns the speed of the movement to each keyframe but the first, with the number of the keyframe, counted from 1.
+    /// Returns, for each keyframe but the first, its number from 1 and the speed of the movement that leads to it.
     pub(super) fn speeds(&self, snap: bool) -> Vec<(usize, f64)> {
         let speed = |(index, pair): (usize, &[(i64, f64)])| {
             let way = (self.set(pair[1].1, snap) - self.set(pair[0].1, snap)).abs();
@@ -93,7 +94,8 @@ impl Cue {
         self.keyframes.windows(2).enumerate().map(speed).collect()
     }
 
-    /// Returns the speed of the movement from a position to the first keyframe; `None` if the device does not move there over time.
+    /// Returns the speed of the movement from a position to the first keyframe; `None` if the device takes the first value without a
+    /// movement.
     pub(super) fn approach(&self, from: f64, snap: bool) -> Option<f64> {
         let (at, first) = self.first(snap);
         let moves_there = at > 0 && self.kind().moves && !self.by_speed;
@@ -102,13 +104,14 @@ impl Cue {
 }
 
 impl Act {
-    /// Returns the act's cues for one device of a robot, in order, each with its index.
+    /// Returns the act's cues that move one device of a robot, in order, each with its index.
     pub(super) fn cues_of(&self, device: usize, robot: usize) -> impl Iterator<Item = (usize, &Cue)> {
         let own = move |(_, cue): &(usize, &Cue)| cue.device == device && cue.robots.contains(&robot);
         self.cues.iter().enumerate().filter(own)
     }
 
-    /// Returns the position in which the act leaves a device that begins at this position.
+    /// Returns the position in which the act leaves a device. The device begins at the position `before`. `None` if the final position is
+    /// unknown.
     pub(super) fn leaves(
         &self,
         device: usize,
@@ -271,7 +274,7 @@ impl Show {
         }
     }
 
-    /// Returns the fault of a device that is at this position when its movement begins.
+    /// Returns the fault of a device that is at the position `from` when its movement begins; `None` if there is no fault.
     fn arrives(&self, (kind, robot): (&Kind, &str), cue: &Cue, at: usize, from: Pose) -> Option<String> {
         let is_fault = match cue.approach(from.value, self.snap) {
             Some(speed) => speed > kind.speed? * (1.0 + 1e-6),
@@ -339,7 +342,7 @@ impl Show {
         }
     }
 
-    /// Adds faults about speeds that nothing ends, and about leases without effect.
+    /// Adds faults about speeds that nothing ends, and about leases that have no effect.
     fn at_the_end(&self, facts: &mut BTreeSet<String>) {
         let longest = self.acts.iter().map(Act::end).max().unwrap_or(0);
         match self.lease {

@@ -36,9 +36,9 @@ pub(super) struct Kind {
     pub(super) limits: [f64; 2],
     pub(super) granularity: f64,
     pub(super) default: Option<f64>,
-    /// Number of scripts that the device holds.
+    /// Number of scripts that the device can hold.
     queue: usize,
-    /// Values that are drawn frequently.
+    /// Values that are drawn more often than others.
     pub(super) values: [f64; 4],
 }
 
@@ -114,7 +114,7 @@ pub(super) enum Waits {
     Time,
     /// The sensor has a reading above this value.
     Above(u32),
-    /// The act waits for a sensor that does not exist.
+    /// The act waits for a sensor, but the sensor does not exist.
     Nothing,
 }
 
@@ -128,7 +128,7 @@ pub(super) enum Word {
 #[derive(Clone, Debug)]
 pub(super) struct Act {
     pub(super) waits: Waits,
-    /// Target of the transition after a timeout.
+    /// Target of the transition after a timeout of the wait; `None` if it is not written.
     pub(super) otherwise: Option<Target>,
     pub(super) next: Option<Target>,
     pub(super) default: Option<Word>,
@@ -142,7 +142,7 @@ pub(super) struct Act {
 pub(super) struct Cue {
     pub(super) robots: Vec<usize>,
     pub(super) device: usize,
-    /// Start in milliseconds since the act's start.
+    /// Start of the cue in milliseconds, since the act's start.
     pub(super) at: i64,
     /// Keyframes as milliseconds since the cue's start, and values: positions or speeds.
     pub(super) keyframes: Vec<(i64, f64)>,
@@ -151,7 +151,7 @@ pub(super) struct Cue {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Lease {
-    /// The default of the scenario language.
+    /// The default lease of the scenario language.
     Usual,
     None,
     /// A lease in milliseconds.
@@ -160,7 +160,7 @@ pub(super) enum Lease {
 
 #[derive(Clone, Debug)]
 pub(super) struct Show {
-    /// Whether values are moved to the grid.
+    /// Whether values off the grid are moved to the grid.
     pub(super) snap: bool,
     pub(super) lease: Lease,
     pub(super) default: Option<Word>,
@@ -217,7 +217,7 @@ pub(super) fn compiled(text: &str, fleet: &Fleet) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
 }
 
-/// Counts of compared shows and items.
+/// Numbers of compared shows and of the items in them.
 #[derive(Debug, Default)]
 struct Tally {
     shows: usize,

@@ -1,15 +1,15 @@
-//! Turns findings into facts: texts with one affected robot each.
+//! Turns findings into facts: short texts that can be compared with predictions, each about one affected robot.
 
 use std::collections::BTreeSet;
 
 use crate::{Code, Finding};
 
-/// Returns the fact of a jump, or of too little time to move to a first keyframe.
+/// Returns the text of a fact: a device jumps to its first keyframe, or has too little time to move there.
 pub(super) fn arrival(code: Code, line: usize, (device, robot): (&str, &str), from: f64) -> String {
     format!("{} line {line}: `{device}` of `{robot}` from {from:.3}", code.as_str())
 }
 
-/// Returns the fact of a fault of one device of a robot.
+/// Returns the text of a fact: one device of a robot has a fault.
 pub(super) fn device(code: Code, line: usize, (device, robot): (&str, &str)) -> String {
     format!("{} line {line}: `{device}` of `{robot}`", code.as_str())
 }

@@ -1,4 +1,4 @@
-//! Selections of a show: a single act, all acts from one on, some of the robots, or another speed.
+//! Selections of a show: only one act, all acts from a given one on, only some of the robots, or another speed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -32,7 +32,7 @@ impl Show {
         positions
     }
 
-    /// Returns the acts that follow each other without failures or timeouts, starting with `first`.
+    /// Returns the acts that follow each other without failures or timeouts, beginning with the act `first`.
     fn from(&self, first: usize) -> Vec<usize> {
         let mut acts = vec![first];
         while let Some(next) = self.next(acts[acts.len() - 1]).filter(|next| !acts.contains(next)) {
@@ -68,7 +68,7 @@ impl Show {
     }
 }
 
-/// Compares all selections of a show. Returns their number.
+/// Compares the compiled and the predicted result of every selection of a show. Returns the number of selections.
 pub(super) fn compare(
     show: &Show,
     choreography: &Choreography,

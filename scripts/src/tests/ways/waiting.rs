@@ -1,4 +1,4 @@
-//! Finds the acts that must wait until a device has room for their scripts. Acts that follow each other immediately form a line.
+//! Finds the acts that must wait until a device has room for their scripts. Only acts that follow each other without a pause have to.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,12 +7,13 @@ use super::written::name;
 use super::{Act, DEVICES, ROBOTS, Show, Target, Waits};
 use crate::Code;
 
-/// Time for sending a script; `PREPARING` is the time for sending an act; both in milliseconds.
+/// Time that sending a script takes; `PREPARING` is the time that preparing an act takes. Both are in milliseconds.
 const SENDING: i64 = 100;
 const PREPARING: i64 = 500;
 
 impl Act {
-    /// Returns the time of a device's last step in the act, in milliseconds. Applies to devices that hold their values.
+    /// Returns the time of a device's last step in the act, in milliseconds. For a device that holds its values, the script ends with
+    /// this step.
     fn script_ends(&self, device: usize, robot: usize, snap: bool) -> Option<i64> {
         let (_, last) = self.cues_of(device, robot).last()?;
         // A value that does not change is not set again.
@@ -29,7 +30,7 @@ impl Show {
         self.next(act).filter(|next| self.acts[*next].waits == Waits::Done)
     }
 
-    /// Returns the acts that begin with empty devices.
+    /// Returns the acts that may begin while no device holds any script.
     fn begins(&self) -> BTreeSet<usize> {
         let mut begins = BTreeSet::from([0]);
         begins.extend((0..self.acts.len()).filter(|act| self.acts[*act].waits != Waits::Done));
@@ -54,7 +55,7 @@ impl Show {
         }
     }
 
-    /// Adds an act to a line, after another act has ended. Returns the start of the added act.
+    /// Adds an act to a series of acts without pauses, after the act before it has ended. Returns the start of the added act.
     fn line_up(
         &self,
         index: usize,

@@ -6,14 +6,14 @@ use super::super::verified::{Change, Movement, changes, movements, tolerances};
 use super::spread::{By, Direction, Each, Ease, Share};
 use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, ROBOTS, Relation, Show, Tempo, When, Word};
 
-/// Draws how the position of a robot among the robots of its cue is used.
+/// Draws an order of the robots in a cue: the property by which they are ordered, and the direction.
 fn orders() -> impl Strategy<Value = (By, Direction)> {
     let by = prop_oneof![2 => Just(By::Index), 1 => Just(By::X), 1 => (-9i64..15).prop_map(|x| By::Point(100 * x))];
     let directions = [Direction::Forward, Direction::Backward, Direction::Outward, Direction::Inward];
     (by, prop::sample::select(directions.to_vec()))
 }
 
-/// Draws a number that differs between robots. Times are fractions that are short enough for all calculations with them.
+/// Draws a number that differs between robots. Times are drawn so that their fractions stay short enough for all calculations with them.
 fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value = Each> {
     let shares = prop_oneof![
         Just(Share::Index),
@@ -39,7 +39,7 @@ fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value 
     prop_oneof![1 => expression, 2 => spread]
 }
 
-/// Draws keyframes at quarters of a beat, which are played as written.
+/// Draws keyframes at quarters of a beat. The device plays them without further steps.
 fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     let value = prop_oneof![3 => (-80i64..80).prop_map(Each::Same), 1 => differing(-80..80, false)];
     let last = prop_oneof![4 => (1i64..9).prop_map(Each::Same), 1 => differing(1..9, true)];
@@ -54,7 +54,7 @@ fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     })
 }
 
-/// Draws a value that is set without a movement.
+/// Draws a single keyframe at the start of the cue, which sets a value without a movement.
 fn instant() -> impl Strategy<Value = Vec<(Each, Each)>> {
     (-9i64..9).prop_map(|value| vec![(Each::Same(0), Each::Same(8 * value))])
 }
@@ -92,7 +92,7 @@ fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
     )
 }
 
-/// Gives a cue a fixed start if it has times in beats, because these require one if the tempo changes.
+/// Gives a cue a fixed start if it has times in beats. Such times require a fixed start if the tempo changes.
 fn with_fixed_start(cue: &mut Cue, bar: i64) {
     for relation in &mut cue.relations {
         if matches!(relation.lag, Lag::Beats(_)) {

@@ -1,4 +1,5 @@
-//! The meaning of a cue: its length, the starts of its robots, and, if they are played as written, its steps.
+//! The meaning of a cue: its length and the starts of its robots. Also its steps, if the device plays the written keyframes without
+//! further steps.
 
 use num_rational::Ratio;
 
@@ -18,7 +19,7 @@ fn millis(millis: i64) -> Ratio<i128> {
     Ratio::from_integer(i128::from(millis) * MS)
 }
 
-/// Rounds the end of a length that begins at a cue's start. Returns the rounded length.
+/// Returns a length, rounded so that its end is a whole number of nanoseconds. The length begins at `start`.
 fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
     match start {
         Some(start) if !length.is_integer() => rounded(start + length) - rounded(start),
@@ -27,7 +28,8 @@ fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
 }
 
 impl Show {
-    /// Returns the nanoseconds that this many quarters of a beat from the very beginning take, tempo by tempo.
+    /// Returns the time from the beginning of the music to a position in the music, in nanoseconds. The position is in quarters of a
+    /// beat.
     fn of_beats(&self, quarters: Ratio<i128>) -> Ratio<i128> {
         let mut time = Ratio::from_integer(0);
         let mut left = quarters;
@@ -39,7 +41,7 @@ impl Show {
         time
     }
 
-    /// Returns the number of quarters of a beat that have elapsed at a time.
+    /// Returns the position in the music at a time in nanoseconds, in quarters of a beat since the beginning of the music.
     fn beats_at(&self, time: Ratio<i128>) -> Ratio<i128> {
         let mut quarters = Ratio::from_integer(0);
         let mut left = time;
@@ -74,14 +76,15 @@ impl Show {
         self.of_beats(Ratio::from_integer(i128::from(quarters)))
     }
 
-    /// Returns the nanoseconds of this many quarters of a beat after `start`. It may be `None` if the tempo never changes.
+    /// Returns the duration of `quarters` quarters of a beat after the time `start`, in nanoseconds. `start` may be `None` if the tempo
+    /// never changes.
     pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: Ratio<i128>) -> Ratio<i128> {
         let start = start.unwrap_or_default();
         self.of_beats(self.beats_at(start) + quarters) - start
     }
 }
 
-/// Returns the nanoseconds of a quarter of a beat at `bpm` hundredths of beats per minute.
+/// Returns the duration of a quarter of a beat in nanoseconds. `bpm` is in hundredths of beats per minute.
 fn quarter(bpm: i64) -> Ratio<i128> {
     Ratio::new(60_000_000_000 * 100, 4 * i128::from(bpm))
 }
@@ -106,7 +109,8 @@ impl Cue {
         all.filter(|each| each.differs()).collect()
     }
 
-    /// Returns the keyframes of the robot at `index`: quarters of a beat, and values.
+    /// Returns the keyframes of the robot at `index`: times in quarters of a beat, and values. `None` if the cue has no keyframes in
+    /// beats.
     fn own_keyframes(&self, index: usize) -> Option<Vec<(Ratio<i128>, f64)>> {
         let own = |(at, to): &(Each, Each)| {
             (at.of(self.robots(), index), double(to.of(self.robots(), index)) / 4.0)
@@ -114,7 +118,7 @@ impl Cue {
         Some(self.beats.as_ref()?.iter().map(own).collect())
     }
 
-    /// Returns the movement of the robot at `index`, before changes.
+    /// Returns the movement of the robot at `index`, before the cue's changes apply to it.
     pub(super) fn movement(&self, show: &Show, index: usize) -> Movement {
         let Some(keyframes) = self.own_keyframes(index) else { return self.movement.clone() };
         let millis = |quarters: Ratio<i128>| double(show.beats(self.start(show), quarters)) / 1e6;
@@ -122,7 +126,7 @@ impl Cue {
         Movement::of_keyframes("", DEVICES[self.device].1, &keyframes)
     }
 
-    /// Returns the changes of the movement of the robot at `index`.
+    /// Returns the changes that apply to the movement of the robot at `index`.
     pub(super) fn change(&self, show: &Show, index: usize) -> Change {
         let mut change = match self.scale {
             Some((by, about)) => self.change.scaled(double(by.of(self.robots(), index)) / 4.0, about as f64),
@@ -162,7 +166,7 @@ impl Cue {
         laid(self.start(show), self.cycle(show, index) * waits + self.lap(show, index))
     }
 
-    /// Returns the length of the cue, which is that for the slowest robot.
+    /// Returns the length of the cue, which is the length for the slowest robot.
     pub(super) fn length(&self, show: &Show) -> Nanos {
         (0..self.robots().len()).map(|index| self.own_length(show, index)).max().unwrap_or(0)
     }
@@ -186,16 +190,16 @@ impl Cue {
         self.delays(show).iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
-    /// Whether doubles represent all values exactly. Otherwise, it is unknown how a value in the middle between two grid values is
-    /// rounded.
+    /// Whether all values are exact as `f64`. Otherwise, the rounding of a value in the middle between two grid values cannot be
+    /// predicted.
     fn is_held_by_doubles(&self, index: usize) -> bool {
         let values = self.beats.iter().flatten().map(|(_, to)| *to);
         let mut all = values.chain(self.scale.map(|(by, _)| by));
         all.all(|each| each.of(self.robots(), index).denom().count_ones() == 1)
     }
 
-    /// Returns the steps of the robot at `index` since its start: time, value, and written value. `None` if the device does not play the
-    /// movement as written.
+    /// Returns the steps of the robot at `index`: time since the robot's start, value, and written value. `None` if the steps are not
+    /// just the written keyframes.
     pub(super) fn as_written(&self, show: &Show, index: usize) -> Option<Vec<(Nanos, f64, f64)>> {
         let keyframes = self.own_keyframes(index)?;
         let (_, moves, granularity, _) = DEVICES[self.device];

@@ -1,6 +1,7 @@
 //! A second evaluation of whole scenarios: acts, groups, related cues, zones, tempos, readings, values one or several at a time, numbers
 //! that differ between robots, and changes of movements. Times are integers and fractions, computed by the simplest possible method.
-//! Movements are evaluated point by point, and step by step if a device plays them as written.
+//! Movements are evaluated point by point. They are evaluated step by step if the device plays the written keyframes without further
+//! steps.
 //!
 //! The number of scenarios is 150, or `DOWNBEAT_SCENARIOS` if that is set.
 
@@ -42,7 +43,7 @@ const DEVICES: [(&str, bool, f64, usize); 7] = [
 ];
 /// Index of the device that takes three values at once.
 const LAMP: usize = 6;
-/// Returns the possible values of a device. If its grid is coarse, the limits are off the grid.
+/// Returns the possible values of a device. If the device has a coarse grid, its limits are not on the grid.
 fn settable(device: usize) -> Values {
     match DEVICES[device] {
         (_, _, granularity, _) if granularity > 1.0 => Values(-50.2, 47.3, granularity),
@@ -55,7 +56,7 @@ const SENSOR: &str = "eye";
 const ROBOTS: [&str; 4] = ["a", "b", "c", "d"];
 /// Place of each robot along x, in millimetres.
 const PLACES: [i128; 4] = [700, -500, 700, 1_300];
-/// Names of robots and groups, with the robots to which they refer.
+/// Names of robots, groups and roles, and lists of names, with the robots to which they refer.
 const NAMES: [(&str, &[usize]); 8] = [
     ("a", &[0]),
     ("b", &[1]),
@@ -73,16 +74,18 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Keyframes that are played as written: position in quarters of a beat, and value in quarters.
+    /// Keyframes that the device plays without further steps: times in quarters of a beat, and values in quarters of a unit. `None` if
+    /// the movement has another form.
     beats: Option<Vec<(Each, Each)>>,
-    /// Keyframes with three values each: milliseconds, and values.
+    /// Keyframes with three values each: times in milliseconds, and values. `None` for a device with one value.
     colours: Option<Vec<(i64, [f64; 3])>>,
     /// Times at which the cue's robots read their sensor, in milliseconds from the cue's start.
     reads: Vec<i64>,
     change: Change,
-    /// Milliseconds by which `every`, if it is written, is longer than the longest movement of the cue's robots.
+    /// Difference, in milliseconds, between the interval of repetitions (`every`, if it is written) and the longest movement of the cue's
+    /// robots.
     pause: Each,
-    /// Replaces the `scale` of the change: factor in quarters, and reference value.
+    /// Scaling that replaces the one in `change`: factor in quarters, and value that stays fixed.
     scale: Option<(Each, i64)>,
     tolerance: Option<f64>,
     canon: Option<Canon>,
@@ -94,25 +97,25 @@ struct Cue {
     apart: Option<usize>,
     /// Whether the cue uses a move with parameters instead of its own tracks.
     by_move: bool,
-    /// Whether this move plays others: with a fixed start, two moves that divide its keyframes between them.
+    /// Whether the cue's move plays other moves. With a fixed start, these are two moves that divide the keyframes between them.
     composed: bool,
-    /// Whether the numbers that differ are passed by the defaults of parameters instead of by arguments; `None` if they are no
-    /// parameters.
+    /// Whether numbers that differ between robots are defaults of parameters (`true`) or arguments (`false`); `None` if they are written
+    /// directly.
     parameters: Option<bool>,
 }
 
 impl Cue {
-    /// Whether the cue sets a value without a movement.
+    /// Whether the cue only sets a value, without a movement.
     fn is_instant(&self) -> bool {
         self.beats.as_ref().is_some_and(|beats| beats.len() == 1)
     }
 }
 
-/// Delays of robots in milliseconds; `Speed` is in quarters of a metre per second.
+/// Delays of the robots in milliseconds. `Speed` is the speed of a wave instead, in quarters of a metre per second.
 #[derive(Clone, Copy, Debug)]
 enum Canon {
     Even(i64),
-    /// A delay to the next robot that grows by this amount from robot to robot.
+    /// A delay between consecutive robots that grows by this amount from robot to robot.
     Growing(i64),
     Backward(i64),
     Outward(i64),
@@ -127,14 +130,14 @@ enum Canon {
 enum When {
     Free,
     At(i64),
-    /// A start, and the delay from each robot to the next, in milliseconds.
+    /// The start of the first robot and the delay between consecutive robots, in milliseconds.
     Each(i64, i64),
     Between(i64, i64),
     Bar(i64),
     EndBy(i64),
 }
 
-/// A relation to another cue, by its index.
+/// A relation to another cue, which is identified by its index in the act.
 #[derive(Clone, Copy, Debug)]
 struct Relation {
     word: Word,
@@ -166,9 +169,9 @@ struct Show {
     tempos: Vec<Tempo>,
     auto: bool,
     acts: Vec<Vec<Cue>>,
-    /// Whether the cues of an act without positions in the music are those of a sequence.
+    /// Whether the cues of an act are written as a sequence. Acts with positions in the music are excluded.
     by_sequence: bool,
-    /// Whether moves are in a file that is included under a name, with the unit of their values as a parameter.
+    /// Whether moves are in a file that is included under a name. The unit of their values is a parameter of the file.
     by_include: bool,
 }
 
@@ -190,7 +193,7 @@ impl Files for Csvs {
     }
 }
 
-/// Returns a point that never moves.
+/// Returns a body that is a point, at a place along x, and never moves.
 fn standing(x: f64) -> Body {
     Body {
         coordinates: [x, 0.0, 0.0, 0.0].map(Coordinate::Fixed),
@@ -247,10 +250,10 @@ pub(super) fn scenarios() -> u32 {
     std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(150)
 }
 
-/// Counts of compared scenarios and items.
+/// Numbers of compared scenarios and of the items in them.
 #[derive(Debug, Default)]
 struct Tally {
-    /// Numbers of scenarios with a plan, with contradictory times, and with other errors.
+    /// This field and the next two count scenarios with a plan, with contradictory times, and with other errors.
     planned: usize,
     contradictory: usize,
     refused: usize,
@@ -258,15 +261,16 @@ struct Tally {
     cues: usize,
     devices: usize,
     steps: usize,
-    /// Numbers of cues that could start later, and of devices for which every step is known.
+    /// This field and the next one count cues that could start later, and devices for which every step is known.
     slack: usize,
     to_the_step: usize,
-    /// Numbers of sensor readings, tracks of several values, values set without a movement, and acts with a change of tempo.
+    /// This field and the next three count sensor readings, tracks of several values, values set without a movement, and acts with a
+    /// change of tempo.
     readings: usize,
     colours: usize,
     instants: usize,
     tempo_changes: usize,
-    /// Numbers of values that are spread over the robots, values calculated for each robot, and cues with `every`.
+    /// This field and the next two count values that are spread over the robots, values calculated for each robot, and cues with `every`.
     spreads: usize,
     expressions: usize,
     everys: usize,

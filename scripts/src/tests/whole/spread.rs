@@ -4,11 +4,11 @@ use num_rational::Ratio;
 
 use super::PLACES;
 
-/// A number, which may differ between robots, in the unit in which it is drawn.
+/// A number that may differ between the robots of a cue, in the unit in which it is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Each {
     Same(i64),
-    /// from + by * share
+    /// The expression from + by * share, where the share depends on the robot.
     Expression {
         from: i64,
         by: i64,
@@ -23,13 +23,13 @@ pub(super) enum Each {
     },
 }
 
-/// The function of the robot's index that an expression contains.
+/// The part of an expression that depends on the robot's index.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Share {
     Index,
     Part,
     Left,
-    /// A random number with this seed.
+    /// A random number for each robot, from this seed.
     Random(u64),
 }
 
@@ -37,7 +37,7 @@ pub(super) enum Share {
 pub(super) enum By {
     Index,
     X,
-    /// The distance from a point on the x axis, in millimetres.
+    /// The distance from a point on the x axis; contains the x coordinate in millimetres.
     Point(i64),
     Random(u64),
 }
@@ -63,7 +63,7 @@ impl Each {
         !matches!(self, Self::Same(_))
     }
 
-    /// Adds the same constant for all robots.
+    /// Returns the number with a constant added for all robots.
     pub(super) fn plus(self, more: i64) -> Self {
         match self {
             Self::Same(value) => Self::Same(value + more),
@@ -74,7 +74,7 @@ impl Each {
         }
     }
 
-    /// Returns the maximum over at most four robots; not valid if `by` is negative.
+    /// Returns an upper bound for the number over at most four robots; not valid if `by` is negative.
     pub(super) fn most(self) -> i64 {
         match self {
             Self::Same(value) => value,
@@ -83,7 +83,7 @@ impl Each {
         }
     }
 
-    /// Returns the value for the robot at `index`.
+    /// Returns the value for the robot at `index` in the list `robots`.
     pub(super) fn of(self, robots: &[usize], index: usize) -> Ratio<i128> {
         let whole = |value: i64| Ratio::from_integer(i128::from(value));
         match self {
@@ -109,7 +109,7 @@ impl Each {
         }
     }
 
-    /// Returns the number as written after a `base`. Each part has its unit.
+    /// Returns the number as text for a scenario, with the text `base` before it and the unit after each constant.
     pub(super) fn yaml(self, base: &str, unit: impl Fn(i64) -> String) -> String {
         match self {
             Self::Same(value) => format!("{base}{}", unit(value)),

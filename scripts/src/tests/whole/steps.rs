@@ -1,4 +1,4 @@
-//! Checks the steps of devices: every step if it is known, otherwise the error at hundreds of times.
+//! Checks the steps of devices: each step if all steps can be predicted, otherwise the error at hundreds of times.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ struct Segment<'a> {
     index: usize,
     begin: Nanos,
     movement: Movement,
-    /// The cue's change, with the length to which the movement is stretched.
+    /// The change that the cue makes to the movement, including the length to which it is stretched.
     change: Change,
     length: Nanos,
 }
@@ -31,7 +31,7 @@ impl Segment<'_> {
     }
 }
 
-/// Returns all segments of each device, in order.
+/// Returns all segments of each device in an act, by (robot, device), in order of time.
 fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usize), Vec<Segment<'a>>> {
     let mut lanes: BTreeMap<(usize, usize), Vec<Segment<'_>>> = BTreeMap::new();
     for (number, cue) in act.iter().enumerate() {
@@ -239,7 +239,7 @@ fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> R
     Ok(())
 }
 
-/// If all cues of a device are played as written, compares every step to the nanosecond.
+/// Compares every step to the nanosecond, if the device plays the written keyframes of all its cues without further steps.
 fn as_written(
     show: &Show,
     segments: &[Segment<'_>],

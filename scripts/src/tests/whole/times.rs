@@ -1,14 +1,14 @@
-//! Computes all times of an act: relaxes bounds between events until nothing changes, for every order of a zone's cues.
+//! Computes all times of an act. For every order of a zone's cues, times move to satisfy the bounds between events until nothing changes.
 
 use num_rational::Ratio;
 
 use super::meaning::rounded;
 use super::{Cue, Lag, MS, Nanos, Relation, Show, When, Word};
 
-/// A bound (from, to, least) between two events: to >= from + least
+/// A bound (from, to, least) between two events, which requires to >= from + least.
 type Bound = (usize, usize, Nanos);
 
-/// Returns the earliest times of all events, by relaxing bounds until nothing changes; `None` if that never ends.
+/// Returns the earliest times of all events. Moves events later until all bounds are satisfied; `None` if that never ends.
 fn earliest(events: usize, bounds: &[Bound]) -> Option<Vec<Nanos>> {
     let mut times = vec![0; events];
     for _ in 0..=events {
@@ -38,7 +38,7 @@ fn latest(events: usize, bounds: &[Bound], end: Nanos) -> Vec<Nanos> {
     times
 }
 
-/// Returns the bounds of an act. Event 0 is the act's start; then follow the start and the end of each cue.
+/// Returns the bounds of an act. Event 0 is the act's start; the following events are the start and the end of each cue.
 fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
     let mut all: Vec<Bound> = Vec::new();
     let mut between = |from: usize, to: usize, least: Option<Nanos>, largest: Option<Nanos>| {
@@ -96,7 +96,7 @@ fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
     all
 }
 
-/// Returns bounds that order these cues of a zone one after another.
+/// Returns bounds that let these cues of a zone follow one another, in the order of the list.
 fn in_order(cues: &[usize]) -> Vec<Bound> {
     cues.windows(2).map(|pair| (2 + 2 * pair[0], 1 + 2 * pair[1], 0)).collect()
 }
@@ -118,7 +118,7 @@ fn orders(cues: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
-/// The times of an act's cues according to the second evaluation.
+/// The times of an act's cues as the tests predict them.
 #[derive(Debug)]
 pub(super) struct Times {
     pub(super) starts: Vec<Nanos>,
@@ -126,7 +126,7 @@ pub(super) struct Times {
     pub(super) slacks: Vec<Nanos>,
 }
 
-/// Returns all possible timings of an act, one for each order of those cues whose order is not given. The compiler must find one of the
+/// Returns all possible timings of an act: one for each order of the cues whose order is free. The compiler must find one of the
 /// shortest.
 pub(super) fn timings(show: &Show, act: &[Cue]) -> Vec<Times> {
     let mut fixed = bounds(show, act);

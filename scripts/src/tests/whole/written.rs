@@ -9,7 +9,7 @@ use super::{Canon, Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, 
 
 /// Name of the cue that plays a sequence.
 pub(super) const SEQUENCE: &str = "q";
-/// Name of the file that contains the moves; `COPY` is the prefix of its names.
+/// Name of the file that contains the moves; `COPY` is the prefix that the moves have in the scenario.
 const INCLUDED: &str = "moves.yaml";
 const COPY: &str = "lib.";
 
@@ -162,7 +162,7 @@ impl Cue {
         yaml
     }
 
-    /// Returns the written interval between repetitions: the length of the longest movement plus the pause.
+    /// Returns the text of the interval between repetitions: the length of the longest movement plus the pause.
     fn every(&self) -> String {
         let longest = match &self.beats {
             Some(keyframes) => beats(keyframes[keyframes.len() - 1].0.most()),
@@ -171,7 +171,7 @@ impl Cue {
         self.pause.yaml(&format!("{longest} + "), |millis| format!("{millis}ms"))
     }
 
-    /// Writes some of the keyframes in beats, relative to the first of these.
+    /// Writes a range of the keyframes in beats. Their times are relative to the first keyframe of the range.
     fn keyframes(&self, some: Range<usize>, in_units: bool) -> String {
         let keyframes = self.beats.as_deref().unwrap_or_default();
         let from = keyframes[some.start].0.most();
@@ -189,7 +189,7 @@ impl Cue {
         format!("keyframes: [{}]", some.map(text).collect::<Vec<_>>().join(", "))
     }
 
-    /// Writes the parameters that some of the keyframes need.
+    /// Writes the parameters that a range of the keyframes needs.
     fn needed(&self, some: Range<usize>, text: impl Fn(&str, &str) -> String) -> String {
         let keyframes = self.beats.as_deref().filter(|_| self.parameters.is_some()).unwrap_or_default();
         let of = |index: usize| {
@@ -202,8 +202,8 @@ impl Cue {
         if all.is_empty() { String::new() } else { format!("parameters: {{{}}}, ", all.join(", ")) }
     }
 
-    /// Splits the keyframes of a movement in beats into two movements that meet at one of the keyframes. Requires a fixed start:
-    /// otherwise, each half would be rounded to the clock separately.
+    /// Splits the keyframes of a movement in beats into two movements that meet at one of the keyframes. This requires a fixed start:
+    /// otherwise, each half would be rounded to nanoseconds separately.
     fn halves(&self) -> Option<[Range<usize>; 2]> {
         let several = self.beats.as_ref().filter(|keyframes| keyframes.len() > 1);
         let keyframes = several.filter(|_| matches!(self.when, When::At(_) | When::Bar(_)))?;

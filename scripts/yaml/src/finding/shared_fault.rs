@@ -1,4 +1,4 @@
-//! Joins the faults of several robots that have the same cause into one finding.
+//! Joins faults with the same cause, which several robots have, into one finding.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -8,14 +8,14 @@ use urrcp::RobotId;
 
 use super::{Code, Place, robots_named};
 
-/// A fault of some robots, or of one of their devices. Faults with the same code and cause are joined into one finding, which describes
-/// the largest fault.
+/// A fault of some robots, or of one device on these robots. Faults with the same code and cause are joined into one finding, which
+/// describes the largest fault.
 pub struct SharedFault {
-    /// The kind of the finding.
+    /// The code of the finding.
     pub code: Code,
-    /// The key by which faults are joined into one finding.
+    /// The cause of the fault. Faults with the same code and cause are joined into one finding.
     pub cause: String,
-    /// The magnitude of the fault; the finding describes the fault with the largest one.
+    /// How large the fault is. The finding describes the fault with the largest size.
     pub size: f64,
     /// The name of the device with the fault; empty if the robots themselves have it.
     pub device: String,
@@ -23,8 +23,8 @@ pub struct SharedFault {
     pub robots: Arc<[RobotId]>,
     /// The place that the user must edit.
     pub place: Place,
-    /// The parts of the message before and after the names of the robots. The second part may begin with the verb in singular and plural:
-    /// ` moves|move at 2 m/s`.
+    /// The parts of the message before and after the names of the robots. The second part may begin with a verb in singular and plural: `
+    /// moves|move at 2 m/s`.
     pub message: [String; 2],
     /// The expected value or form.
     pub expected: String,
@@ -32,19 +32,19 @@ pub struct SharedFault {
     pub hint: Option<String>,
 }
 
-/// The robots and devices that a shared finding concerns, and its message.
+/// The robots and devices that a finding for joined faults concerns, and its message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Affected {
     size: f64,
     /// The device with the largest fault; empty if the robots themselves have it.
     device: String,
     message: [String; 2],
-    /// Devices in the order of their first faults, each with the robots of all its faults.
+    /// The devices with faults, in the order in which they were added, each with the robots of each of its faults.
     devices: Vec<(String, Vec<Arc<[RobotId]>>)>,
 }
 
 impl Affected {
-    /// The affected robots of a first fault.
+    /// Creates the value for the first fault.
     pub fn by(fault: &SharedFault) -> Self {
         let mut affected = Self {
             size: fault.size,
@@ -80,7 +80,7 @@ impl Affected {
         }
     }
 
-    /// The message with all robots and devices.
+    /// Returns the message, which names all robots and devices.
     pub fn message(&self) -> String {
         let own = self.devices.iter().find(|(device, _)| *device == self.device);
         let [before, after] = &self.message;
@@ -95,7 +95,7 @@ impl Affected {
     }
 }
 
-/// The ids of all robots of the faults, each once, in order.
+/// Returns the ids of all robots in `faults`, each once, in order of first appearance.
 fn distinct(faults: &[Arc<[RobotId]>]) -> Vec<&str> {
     let mut seen = HashSet::new();
     let robots = faults.iter().flat_map(|robots| robots.iter()).map(RobotId::as_str);
@@ -109,7 +109,7 @@ fn named(faults: &[Arc<[RobotId]>]) -> String {
     }
 }
 
-/// Selects the verb of a text that begins with ` moves|move` for this number of robots.
+/// Keeps the singular or the plural of a verb such as ` moves|move` at the beginning of a text, depending on the number of robots.
 fn agreeing(text: &str, robots: usize) -> Cow<'_, str> {
     let verbs = text.strip_prefix(' ').and_then(|text| text.split_once(' '));
     let Some((verbs, rest)) = verbs else { return text.into() };

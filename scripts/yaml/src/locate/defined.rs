@@ -1,4 +1,4 @@
-//! Finds the definitions of variables that are used at the place of a finding, because these definitions have to be edited.
+//! Finds the definitions of the variables that are used at the place of a finding, because the user has to edit these definitions.
 
 use std::borrow::Borrow;
 
@@ -9,7 +9,7 @@ use crate::source::Source;
 /// Maximum number of definitions that one finding shows.
 const SHOWN_MAX: usize = 2;
 
-/// Adds to each finding about a value the places that define the variables in that value.
+/// Adds related places to each finding about a value: the definitions of the variables in that value.
 pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) {
     let mut named: Vec<(usize, Vec<String>)> = Vec::new();
     for (file, source) in sources.iter().enumerate() {
@@ -44,7 +44,7 @@ pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) 
     }
 }
 
-/// Whether a different value would resolve the finding.
+/// Whether the finding is about a value, so that a different value would resolve it.
 fn is_about_value(found: &Pending) -> bool {
     let is_value = matches!(
         found.code,
@@ -63,7 +63,8 @@ fn is_about_value(found: &Pending) -> bool {
     is_value && found.related.is_empty() && !found.place.key
 }
 
-/// For each place in one file, its index and the names of the variables that are used there. Places without variables are left out.
+/// Returns, for each of the given places in one file, its index and the names of the variables that are used there. Places without
+/// variables are left out.
 fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -> Vec<(usize, Vec<String>)> {
     let mut wanted = Wanted::default();
     let places: Vec<(usize, usize)> = places.map(|(index, place)| (index, wanted.add(place))).collect();
@@ -90,7 +91,7 @@ fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -
     places.into_iter().filter_map(names).collect()
 }
 
-/// The places at which each variable may be defined, in order of precedence.
+/// Returns the places at which each variable may be defined, in order of precedence.
 fn candidates(used: &Place, names: &[String], files: usize) -> Vec<Place> {
     let own = match used.path.as_slice() {
         [Part::Key(kind, _), Part::Key(name, _), ..] if kind == "moves" || kind == "sequences" => {
@@ -113,7 +114,7 @@ fn candidates(used: &Place, names: &[String], files: usize) -> Vec<Place> {
         .collect()
 }
 
-/// Whether each of these places has a value.
+/// Returns, for each place, whether it exists and has a value other than null.
 fn existing<S: Borrow<Source>>(sources: &[S], places: &[Place]) -> Vec<bool> {
     let mut existing = vec![false; places.len()];
     for (file, source) in sources.iter().enumerate() {

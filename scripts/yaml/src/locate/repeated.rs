@@ -1,17 +1,18 @@
-//! Joins the findings for one mistake at several places of a file, such as a misspelt name.
+//! Joins findings if the same mistake, such as a misspelt name, occurs at several places of a file.
 
 use std::collections::HashMap;
 
 use crate::finding::{Code, Finding, Related};
 
-/// Maximum number of lines that a message lists.
+/// Maximum number of line numbers that a message lists.
 const LISTED_MAX: usize = 5;
 
-/// The hint for a decimal comma, in numbers and times of any kind.
+/// The beginning of every hint for a decimal comma, in numbers and in times.
 const DECIMAL_POINT: &str = "write a decimal point";
 
 /// Joins findings about the same mistake into the first one. Its message names the lines of the other findings, and its related places
-/// list them for editors. Each finding is paired with the text of the uses that led to it, which is appended to its message.
+/// list them for editors. Each finding is paired with a text about the uses through which its place was read, which is appended to its
+/// message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     let mut first: HashMap<Mistake, usize> = HashMap::new();
     let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());
@@ -34,25 +35,26 @@ pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     joined
 }
 
-/// Converts a finding to a related place of the first finding of the same mistake.
+/// Converts a finding to a related place, for the first finding about the same mistake.
 fn repeat(finding: Finding) -> Related {
     let Finding { line, column, width, source_line, .. } = finding;
     Related { line, column, width, message: "the same mistake".to_owned(), source_line, is_repeat: true }
 }
 
-/// The parts in which two findings must agree to be the same mistake.
+/// The parts of a finding that must be equal for two findings to be about the same mistake.
 #[derive(PartialEq, Eq, Hash)]
 struct Mistake {
     code: Code,
     message: String,
     expected: String,
     hint: Option<String>,
-    /// Line and column of the definitions of the variables in the value.
+    /// The line and column of each related place after the first, such as the definition of a variable in the value.
     definitions: Vec<(usize, usize)>,
 }
 
 impl Mistake {
-    /// The mistake of a finding. `None` if it involves several places, or has a separate cause at each place.
+    /// Returns the mistake that a finding is about. `None` if the finding is not joined with others, because it involves several places
+    /// or has a separate cause at each place.
     fn of(finding: &Finding) -> Option<Self> {
         let Finding { code, message, expected, hint, .. } = finding;
         let hint = hint.as_deref();
@@ -102,7 +104,7 @@ impl Mistake {
     }
 }
 
-/// Replaces each number by `#`.
+/// Replaces each number in a text by `#`.
 fn any_number(text: &str) -> String {
     let is_digit = |c: char| c.is_ascii_digit() || c == '.';
     let mut plain = String::with_capacity(text.len());
@@ -116,20 +118,20 @@ fn any_number(text: &str) -> String {
     plain
 }
 
-/// A message without the robot, or the device of an initialization block, at its end.
+/// Removes the name of the robot, or of the device in an initialization block, from the end of a message.
 fn of_no_owner(message: &str) -> &str {
     let ends = [" in robot `", ", for `", ", for the device `"];
     let end = ends.iter().filter_map(|begin| message.find(begin)).min();
     &message[..end.unwrap_or(message.len())]
 }
 
-/// `keyframe 2: 120 lies outside ...` without the number of the keyframe.
+/// Removes the number of the keyframe from a message such as `keyframe 2: 120 lies outside ...`.
 fn of_any_keyframe(message: &str) -> &str {
     let rest = message.strip_prefix("keyframe ").and_then(|rest| rest.split_once(": "));
     rest.map_or(message, |(_, rest)| rest)
 }
 
-/// The end of the message, which lists the lines of the other places of the mistake in order.
+/// Returns the end of a message, which lists the lines of the other places with the same mistake. `own` is the line of the finding.
 fn others(own: usize, mut lines: Vec<usize>) -> String {
     let here = lines.iter().filter(|line| **line == own).count();
     lines.retain(|line| *line != own);

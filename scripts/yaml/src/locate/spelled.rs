@@ -1,6 +1,6 @@
-//! Finds the characters of a text in the YAML source, where it may have quotes and escapes or extend over several lines.
+//! Finds the characters of a text in the YAML source. There, the text may have quotes and escapes, or extend over several lines.
 
-/// How a scalar is written.
+/// The quotation marks of a scalar in the source.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Style {
     /// The scalar is written without quotes, or as a block.
@@ -9,8 +9,8 @@ enum Style {
     Double,
 }
 
-/// The byte offsets in `source` of the characters `from` and `to` of `text`. `source` begins at the YAML scalar that spells the text.
-/// `None` if it begins with something else, such as an alias.
+/// Returns the byte offsets in `source` at which the characters `from` to `to` of `text` begin and end. `source` must begin with the YAML
+/// scalar for `text`. `None` if it begins with something else, such as an alias.
 pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> Option<(usize, usize)> {
     let begin = after_properties(source);
     let style = match source[begin..].chars().next()? {
@@ -42,7 +42,7 @@ pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> O
     Some((first.unwrap_or(end), end))
 }
 
-/// The byte offset after an anchor and a tag, if there are any.
+/// Returns the byte offset of the scalar, after its anchor and its tag if there are any.
 fn after_properties(source: &str) -> usize {
     let mut at = 0;
     while source[at..].starts_with(['&', '!']) {
@@ -70,7 +70,7 @@ impl Walk<'_> {
         self.at += rest.find(|c: char| !c.is_whitespace()).unwrap_or(rest.len());
     }
 
-    /// Skips spaces and line ends, escaped or not.
+    /// Skips spaces, tabs and line ends, whether escaped or not. `None` if there are none.
     fn blank(&mut self) -> Option<()> {
         let before = self.at;
         loop {
@@ -84,7 +84,7 @@ impl Walk<'_> {
         (self.at > before).then_some(())
     }
 
-    /// Skips an escaped line end, which adds nothing to the text.
+    /// Skips escaped line ends, which add nothing to the text.
     fn continued(&mut self) {
         while self.style == Style::Double
             && self.rest().strip_prefix('\\').is_some_and(|rest| rest.starts_with(['\n', '\r']))
@@ -115,7 +115,7 @@ impl Walk<'_> {
         Some(())
     }
 
-    /// Skips the rest of an escape sequence that stands for its own character: `\"`, `\\`, `\/`.
+    /// Skips an escape sequence whose second character stands for itself: `\"`, `\\`, `\/`. `None` if that character is not `c`.
     fn plainly_escaped(&mut self, kind: char, c: char) -> Option<()> {
         (kind == c).then_some(())?;
         self.at += 1 + kind.len_utf8();

@@ -1,4 +1,5 @@
-//! Lists the uses through which a place was read, for the end of a message: ` (in the move `wave`, used by the move `greet` in line 12)`.
+//! Lists the uses through which the place of a finding was read, for the end of its message: ` (in the move `wave`, used by the move
+//! `greet` in line 12)`.
 
 use std::borrow::Borrow;
 
@@ -6,10 +7,10 @@ use super::lines_of;
 use crate::finding::{Pending, Place};
 use crate::source::Source;
 
-/// Maximum number of uses that a message lists, from the place of the finding outwards.
+/// Maximum number of nested uses that a message lists, beginning with the innermost.
 const USES_MAX: usize = 8;
 
-/// For each finding, the text that lists its uses; empty for most findings.
+/// Returns, for each finding, the text that lists the uses and the related places in other files; empty for most findings.
 pub(super) fn told<S: Borrow<Source>>(sources: &[S], pending: &[Pending]) -> Vec<String> {
     let places: Vec<&Place> = pending.iter().flat_map(mentioned).collect();
     if places.is_empty() {
@@ -46,12 +47,12 @@ fn uses(place: &Place) -> impl Iterator<Item = &crate::finding::Use> {
     std::iter::successors(place.used.as_deref(), |used| used.place.used.as_deref()).take(USES_MAX)
 }
 
-/// Related places in other files than the finding's own. They cannot be shown next to the finding.
+/// Returns the related places that are in other files than the finding, and therefore cannot be shown next to it.
 fn elsewhere(finding: &Pending) -> impl Iterator<Item = &(Place, String)> {
     finding.related.iter().filter(|(place, _)| place.file != finding.place.file)
 }
 
-/// The places that the text of a finding lists, in order.
+/// Returns the places that the text for a finding mentions, in order: those of its uses, then those in other files.
 fn mentioned(finding: &Pending) -> impl Iterator<Item = &Place> {
     uses(&finding.place).map(|used| &used.place).chain(elsewhere(finding).map(|(place, _)| place))
 }

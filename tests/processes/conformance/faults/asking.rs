@@ -1,11 +1,11 @@
-//! Faults of inquiries.
+//! Planted faults in the answers to inquiries.
 
 use serde_json::{Value, json};
 
 use super::super::proxy::{Passing, Then, Way};
 use super::*;
 
-/// Edits the answers to inquiries.
+/// Edits an answer to an inquiry, and passes the line.
 fn edit_answer(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(answer) = passing.json.get_mut("inquiry_response") {
         edit(answer);
@@ -13,7 +13,7 @@ fn edit_answer(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Edits the reports about requests in this state.
+/// Edits an answer to an inquiry: all of its reports about requests in this state.
 fn edit_told(passing: &mut Passing, state: &str, edit: impl Fn(&mut Value)) -> Then {
     edit_answer(passing, |answer| {
         let told = answer.get_mut("requests").and_then(Value::as_array_mut).into_iter().flatten();
@@ -25,7 +25,7 @@ fn inquiry(passing: &Passing) -> Option<&Value> {
     passing.json.get("inquiry").filter(|_| passing.way == Way::ToRobot)
 }
 
-/// Sends this line, followed by the received one.
+/// Passes the received line after `line`.
 fn after(line: &Value, passing: &Passing) -> Then {
     let mut bytes = format!("{line}\n").into_bytes();
     bytes.extend_from_slice(&passing.raw);

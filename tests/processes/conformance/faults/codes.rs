@@ -1,9 +1,9 @@
-//! Robots that refuse correctly, but with another code. All checks that wait for a code recognise it by that code, so one fault may break
-//! several.
+//! Robots that refuse correctly, but with a wrong error code. Checks recognise a refusal by its code, so one wrong code may break several
+//! checks.
 
 use super::{Mutant, mutant, recode};
 
-/// Returns the faults that are found at once.
+/// Returns the robots with a wrong error code that quick checks detect.
 pub fn all() -> Vec<Mutant> {
     vec![
         mutant("`late` has another code", &["late", "late-by-little"], |_, passing| recode(passing, "late")),
@@ -58,7 +58,7 @@ pub fn all() -> Vec<Mutant> {
     ]
 }
 
-/// Returns the fault that takes waiting.
+/// Returns the robot whose wrong error code is found only by waiting for the end of leases.
 pub fn lease() -> Vec<Mutant> {
     vec![mutant(
         "`link_lost` has another code",

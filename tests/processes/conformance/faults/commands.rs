@@ -1,4 +1,4 @@
-//! Faults of a robot that greets, takes values and starts.
+//! Planted faults in the greeting, in the values that a robot accepts, and in its starts.
 
 use std::time::Duration;
 
@@ -178,7 +178,7 @@ fn steps_of(request: &mut Value) -> impl Iterator<Item = &mut Value> {
     listed.filter(|step| step.is_object())
 }
 
-/// Returns how long ago the start of a request was, if it has passed.
+/// Returns how long ago a request was due to start; `None` if its start is in the future or missing.
 fn passed_by(request: &Value) -> Option<urrcp::Span> {
     let sent: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(request["timestamp"].clone()).ok()?;
     let start = sent + urrcp::Span::from_millis_f64(Some(offset(request)).filter(|ms| *ms >= 0.0)?);
@@ -187,7 +187,7 @@ fn passed_by(request: &Value) -> Option<urrcp::Span> {
     Some(now - start).filter(|passed| *passed > urrcp::Span::ZERO)
 }
 
-/// Shifts by milliseconds the reported starts of scripts whose first value is due 300 ms later.
+/// Shifts the reported start of each script whose first value is due 300 ms after its start, by this many milliseconds.
 fn start_of_later_scripts(memory: &mut Memory, passing: &mut Passing, by: i64) -> Then {
     if let Some(request) = passing.request() {
         if steps_of(request).next().is_some_and(|step| offset(step) == 300.0) {

@@ -1,4 +1,4 @@
-//! Faults of leases and stops.
+//! Planted faults in leases and stops.
 
 use serde_json::{Value, json};
 

@@ -7,7 +7,8 @@ use serde_json::{Value, json};
 use super::super::proxy::{Memory, More, Passing, Then};
 use super::{Mutant, edit, is_cancel, mutant, remove};
 
-/// The other requirements also stop devices, and reconnect.
+/// The requirements to check for these robots. The others also stop devices and reconnect, so an unrequested movement would break them
+/// too.
 const MOVEMENTS: &[&str] = &[
     "inquiry-position",
     "stays-stopped",

@@ -1,11 +1,11 @@
-//! Faults of a robot that belongs to a session.
+//! Planted faults of a robot that belongs to a session.
 
 use std::time::Instant;
 
 use super::super::proxy::{Memory, Way};
 use super::*;
 
-/// Returns the session that a message to the robot names.
+/// Returns the session that is named in a message to the robot.
 fn session_of(passing: &Passing) -> Option<String> {
     let names = ["availability_request", "control_request"];
     let mut inside =
@@ -13,13 +13,13 @@ fn session_of(passing: &Passing) -> Option<String> {
     inside.find_map(|inside| inside["session"].as_str().map(str::to_owned))
 }
 
-/// Whether the robot refuses because it belongs to another session.
+/// Whether this message is a refusal because the robot belongs to another session.
 fn is_busy(passing: &Passing) -> bool {
     let names = ["availability_response", "control_response", "inquiry_response"];
     names.iter().any(|name| passing.json[name]["error"]["code"] == "busy")
 }
 
-/// Returns the latest session from another connection.
+/// Returns the session that was last named on another connection, with that connection and the time.
 fn owner<'a>(memory: &'a Memory, passing: &Passing) -> Option<(&'a String, &'a (u64, Instant))> {
     let others = memory.heard.iter().filter(|(_, (link, _))| *link != passing.link);
     others.max_by_key(|(_, (_, at))| *at)

@@ -1,12 +1,12 @@
-//! Faults of names, lines and connections.
+//! Planted faults in names, lines and connections.
 
 use serde_json::{Value, json};
 
 use super::super::proxy::{Memory, Passing, Serving, TWICE, Then, Way};
 use super::*;
 
-/// Sends forgotten requests to the robot under another id, so that it treats them as new. `is_noted` selects the answers whose ids are
-/// remembered in their order.
+/// Makes the robot forget requests: sends those that `is_forgotten` selects under another id, so that the robot treats them as new.
+/// `is_noted` selects the responses whose ids are remembered, in the order of their arrival.
 fn forgets(
     memory: &mut Memory,
     passing: &mut Passing,

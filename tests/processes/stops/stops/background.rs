@@ -12,7 +12,7 @@ use super::{Way, text};
 use stage::quiet::await_that;
 use stage::{Robot, Stage, Via, held_up, one_device};
 
-/// Checks that a robot sets values for one more second: a stop would have ended that long before.
+/// Checks that a robot sets 50 more values. That takes longer than a stop, which would have ended them.
 #[track_caller]
 fn plays_on(robot: &Robot) {
     robot.await_sets(robot.sets().len() + 50, Duration::from_secs(20));
@@ -36,7 +36,7 @@ fn logged(told: &Value) -> String {
     std::fs::read_to_string(told["log"].as_str().unwrap()).unwrap()
 }
 
-/// Returns the log of a mission that has ended before it moved the first robot; empty if it moves.
+/// Returns the log of a mission that ended before it moved the first robot; an empty text if the robot moves.
 fn ended_early(stage: &Stage, told: &Value) -> String {
     if moves(stage) { String::new() } else { logged(told) }
 }

@@ -1,6 +1,6 @@
-//! One cell of the matrix of stops: a mission in trouble is stopped, its robots' logs show when they came to rest, and the test
-//! compares the operator's report with them. No cell is played again: each limit is ten times the duration on an idle machine, and
-//! each row prints the durations of its cells.
+//! One cell of the matrix of stops (ways to stop × troubles). A mission in trouble is stopped, and its robots' logs show when they came
+//! to rest. The test compares the operator's report with these logs. No cell is played again: each limit is ten times the duration on an
+//! idle machine. Each row prints the durations of its cells.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,42 +14,42 @@ use super::show::{ODD, STEPS, Show, Trouble, WHEELED, program};
 use super::{Way, text};
 use stage::{Logged, Process, Robot, epoch_nanos};
 
-/// Number of cells that are played at once.
+/// Number of cells that are played at the same time.
 const AT_ONCE: usize = 3;
-/// The time within which every robot has to be at rest: ten times 300 ms, and less than the six seconds of the stalled disk.
+/// Time within which every robot has to be at rest: ten times 300 ms, and less than the six seconds for which the disk stalls.
 pub const AT_REST_MAX: Duration = Duration::from_secs(3);
-/// How long the robot with the wheel takes to slow down.
+/// Time in which the robot with the wheel slows down.
 const SLOWS_DOWN: Duration = Duration::from_millis(500);
-/// From a signal to the reaction of the first robot: ten times 50 ms.
+/// Maximum time from a signal until the first robot reacts: ten times 50 ms.
 const FIRST_BYTE_MAX: Duration = Duration::from_millis(500);
-/// Time after which `downbeat stop` gives up a scheduler that does not answer.
+/// Time after which `downbeat stop` no longer waits for a scheduler that does not answer.
 const GIVEN_UP: Duration = Duration::from_secs(1);
-/// The time after which the test no longer waits for the end of a process, or for the rest of a robot.
+/// Maximum wait for the end of a process, and for the robots to come to rest.
 const ENDS_WITHIN: Duration = Duration::from_secs(20);
-/// The time during which a robot at rest must not move again. The steps of its script are 50 ms apart.
+/// Time during which a robot that came to rest must not move again. The steps of its script are 50 ms apart.
 const STAYS_AT_REST: Duration = Duration::from_millis(300);
-/// A robot whose last value is this old at the stop was at rest before.
+/// Minimum age of a robot's last value at the stop, in nanoseconds, from which the robot counts as at rest before the stop.
 const RESTED_BEFORE_NS: i64 = 1_000_000_000;
 
 /// The result of a stop.
 pub struct Stopped {
-    /// When it was given, in nanoseconds since the epoch.
+    /// When the stop was given, in nanoseconds since the epoch.
     at: i64,
-    /// The output for the operator; `None` if it cannot be read.
+    /// Output that the operator saw; `None` if the operator could not read it.
     pub said: Option<String>,
-    /// Exit code of the process that the operator waits for: the scheduler, or `downbeat stop`.
+    /// Exit code of the process that the operator waits for (the scheduler or `downbeat stop`); `None` if it hung.
     pub code: Option<i32>,
-    /// Exit code of the scheduler, if it lives to end by itself.
+    /// Exit code of the scheduler; `None` if it was killed, was suspended or hung.
     scheduler: Option<i32>,
 }
 
-/// Times since the stop was given.
+/// Times from the stop until the first and the last robot came to rest.
 struct Times {
     first: Duration,
     last: Duration,
 }
 
-/// Plays these cells of one row, a few at a time, and prints their durations.
+/// Plays cells of the matrix for one way to stop, `AT_ONCE` at a time, and prints their durations.
 #[track_caller]
 #[expect(clippy::print_stdout, reason = "prints the duration of each cell with --nocapture")]
 pub fn check_row(way: Way, troubles: &[Trouble]) {
@@ -104,13 +104,13 @@ impl Way {
     }
 }
 
-/// Returns the reason for a failure, with the output and the exit code.
+/// Returns the reason for a failure, extended by the output and the exit code.
 fn with_all(why: &str, show: &Show, stopped: &Stopped) -> String {
     let told = text(&show.stage, "told") + &text(&show.stage, "stop-told");
     format!("{why}; exit code {:?}\n{told}{}", stopped.code, stopped.said.as_deref().unwrap_or(""))
 }
 
-/// Stops the show and waits for the end of all processes that must end.
+/// Stops the show, and waits for the processes that must end.
 pub fn stop(show: &mut Show, way: Way) -> Stopped {
     match way {
         Way::CtrlC => signalled(show, Signal::INT),
@@ -169,7 +169,7 @@ fn commanded(show: &Show) -> Stopped {
     Stopped { at, said: (!full).then_some(said), code, scheduler: None }
 }
 
-/// Returns its exit code; `None` if it hangs.
+/// Waits for the end of a process, and returns its exit code; `None` if it hangs.
 pub fn ended(child: &mut Child) -> Option<i32> {
     let began = Instant::now();
     while began.elapsed() < ENDS_WITHIN {
@@ -181,7 +181,7 @@ pub fn ended(child: &mut Child) -> Option<i32> {
     None
 }
 
-/// Also returns the longest time for which a thread of this process was prevented from running meanwhile.
+/// Runs `work`. Returns its result, and the longest time for which a thread of this process was prevented from running meanwhile.
 fn held_up<T>(work: impl FnOnce() -> T) -> (T, Duration) {
     let (over, longest) = (AtomicBool::new(false), AtomicU64::new(0));
     std::thread::scope(|scope| {
@@ -199,7 +199,7 @@ fn held_up<T>(work: impl FnOnce() -> T) -> (T, Duration) {
     })
 }
 
-/// Waits until the logs end with robots at rest. [`at_rest`] reports a robot that still moves.
+/// Waits until the logs show all robots at rest, for at most `ENDS_WITHIN`. Later, [`at_rest`] reports a robot that still moves.
 fn await_rest(show: &Show) {
     let stands = |(index, robot): (usize, &Robot)| {
         robot.rests() && (index != WHEELED || robot.log().last().is_some_and(|last| last.value == 0.0))
@@ -211,7 +211,8 @@ fn await_rest(show: &Show) {
     }
 }
 
-/// Returns when the robots came to rest, by their own logs.
+/// Returns how long after the stop the first and the last robot came to rest, by their own logs. Fails if a robot took longer than
+/// `within`.
 fn at_rest(show: &Show, stopped: &Stopped, within: Duration) -> Result<Times, String> {
     await_rest(show);
     // Detects a robot that moves again, too.
@@ -244,7 +245,8 @@ fn since(stopped: &Stopped, entry: &Logged) -> Duration {
     Duration::from_nanos(u64::try_from(entry.at - stopped.at).unwrap_or(0))
 }
 
-/// The time from the stop to the last value of the script: the stop itself leaves no entry in the log. `None` if it was at rest before.
+/// Returns the time from the stop to the last value of the script, because the stop itself leaves no entry in the log. `None` if the
+/// robot was at rest before the stop.
 fn last_step(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
     let Some(last) = log.last() else { return Err(format!("{} never moved", robot.id)) };
     if last.motion != "set" {
@@ -257,7 +259,7 @@ fn last_step(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<
     Ok((before < RESTED_BEFORE_NS).then(|| since(stopped, last)))
 }
 
-/// The time from the stop to the first entry of the wheel that no script caused. `None` if it was at rest before.
+/// Returns the time from the stop to the wheel's first log entry that no script caused. `None` if this entry precedes the stop.
 fn slowed(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
     let after = log.iter().rev().take_while(|entry| entry.motion != "set").last();
     let Some(after) = after else {
@@ -267,7 +269,7 @@ fn slowed(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Dur
     Ok((after.at >= stopped.at).then(|| since(stopped, after)))
 }
 
-/// Checks that the wheel has slowed down to zero, and in time.
+/// Checks that the wheel has slowed down to zero within this time after the stop.
 fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), String> {
     let Some(stands) = log.iter().rev().take_while(|entry| entry.value == 0.0).last() else {
         let last = log.last().map_or(f64::NAN, |last| last.value);
@@ -281,7 +283,7 @@ fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), Str
     }
 }
 
-/// Checks that the operator's output and the exit codes agree with the events.
+/// Checks that the output that the operator saw, and the exit codes, agree with what happened.
 fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
     let dead = (trouble == Trouble::Dead).then_some(ODD);
     let said = stopped.said.as_deref().unwrap_or("");

@@ -1,4 +1,4 @@
-//! A link to one robot on which the scheduler is flooded with messages on command.
+//! A proxy between the scheduler and one robot that floods the scheduler with messages on command.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex};
 
 use stage::quiet::await_that;
 
-/// An answer to a request that was never sent.
+/// A response to a request that was never sent.
 const NOISE: &str = r#"{"control_response":{"timestamp":"2026-01-01T00:00:00Z","device_id":"d","status":"Accepted","request_id":"noise"}}"#;
 
-/// Number of repetitions of the noise in one write.
+/// Number of repetitions of `NOISE` in one write.
 const REPEATED: usize = 50;
-/// Number of writes that the scheduler has to take before it is considered flooded.
+/// Number of writes after which the scheduler counts as flooded.
 const WRITES: u32 = 20;
 
 pub struct Flood {
@@ -24,7 +24,7 @@ pub struct Flood {
 struct State {
     begun: AtomicBool,
     over: AtomicBool,
-    /// Number of writes that were taken.
+    /// Number of writes of the flood that the scheduler has taken.
     taken: AtomicU32,
     /// Whether the scheduler has disconnected.
     hung_up: AtomicBool,
@@ -48,7 +48,7 @@ impl Flood {
         Self { port, state }
     }
 
-    /// Returns once the scheduler has taken much of it, or has disconnected.
+    /// Begins the flood. Returns once the scheduler has taken `WRITES` writes or has disconnected.
     pub fn begin(&self) {
         let State { begun, taken, hung_up, .. } = &*self.state;
         begun.store(true, Ordering::Relaxed);
@@ -92,7 +92,7 @@ fn carry(client: TcpStream, robot: TcpStream, state: &Arc<State>) {
     });
 }
 
-/// Forwards line by line, so that two writers do not mix their lines.
+/// Forwards a stream line by line, so that the lines of two writers to the same socket do not mix.
 fn pump(from: TcpStream, to: &Mutex<TcpStream>) {
     let end = from.try_clone().unwrap();
     let mut lines = BufReader::new(from);

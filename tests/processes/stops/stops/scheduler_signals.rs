@@ -1,4 +1,4 @@
-//! Signals to a scheduler other than those of the matrix.
+//! Further signals to a scheduler, which are not in the matrix of stops.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! A mission of six robots as processes, and its trouble.
+//! A mission of six robots as processes, and the trouble that it gets into.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
@@ -14,7 +14,7 @@ use stage::compiled::{SHARED, compiled};
 use stage::quiet::await_that;
 use stage::{Process, Stage, Via, one_device, with_devices};
 
-/// What stalls, is full, has changed or is missing.
+/// What goes wrong during a mission: something stalls, is full, has changed or is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trouble {
     Nothing,
@@ -29,7 +29,7 @@ pub enum Trouble {
     Dead,
 }
 
-/// The troubles of the matrix.
+/// The troubles with which each way to stop a mission is tested.
 pub const TROUBLES: [Trouble; 9] = [
     Trouble::Terminal,
     Trouble::Pipes,
@@ -42,7 +42,7 @@ pub const TROUBLES: [Trouble; 9] = [
     Trouble::Dead,
 ];
 
-/// Returns a wheel that slows down by 10 per second squared: from 5 to 0 in 0.5 s.
+/// Returns the description of a robot with a wheel that slows down by 10 per second squared: from 5 to 0 in 0.5 s.
 pub fn wheel() -> String {
     with_devices(
         "  - id: w
@@ -57,15 +57,15 @@ pub fn wheel() -> String {
 }
 
 const RECORDING: &str = "play.mcap";
-/// The number of values of each script, which is also the last position.
+/// Number of values of each script; the last position is the same number.
 pub const STEPS: u32 = 200;
-/// The robot with the wheel.
+/// Index of the robot with the wheel.
 pub const WHEELED: usize = 4;
-/// The robot that floods or is dead.
+/// Index of the robot that floods the scheduler or is dead.
 pub const ODD: usize = 5;
 
-/// One value every 50 ms for 10 s, without a running lease, so that only a stop ends it. The robots of many shows share the
-/// cores, and each robot keeps a core busy for about 1 ms before each of its steps. The pending lease and the lead are longer
+/// Returns a scenario with one value every 50 ms for 10 s. It has no running lease, so that only a stop ends it. The robots of many shows
+/// share the cores, and each robot keeps a core busy for about 1 ms before each of its steps. The pending lease and the lead are longer
 /// than the delays of a busy machine.
 pub fn scenario() -> String {
     let frames = |value: &dyn Fn(u32) -> f64| {
@@ -87,18 +87,18 @@ cues:
     )
 }
 
-/// A playing mission of six robots, soon in trouble.
+/// A mission of six robots that plays, and the trouble that it will get into.
 pub struct Show {
     pub stage: Stage,
     pub trouble: Trouble,
-    /// Ends with the exit code of the scheduler.
+    /// The process that was started. It ends with the exit code of the scheduler.
     pub started: Process,
-    /// The scheduler's process, which may be behind a terminal.
+    /// The scheduler's process, which a terminal program may have started.
     pub pid: Pid,
     flood: Option<Flood>,
-    /// The scheduler's output, if it is read.
+    /// Pipe with the scheduler's output; `None` if the output is not read.
     pub out: Option<PipeReader>,
-    /// Kept so that it can be filled.
+    /// Writing end of the pipe for the scheduler's output, kept so that [`Self::strike`] can fill the pipe.
     full: Option<PipeWriter>,
 }
 
@@ -107,7 +107,7 @@ impl Show {
         Self::begin_by(trouble, &[])
     }
 
-    /// Begins a show whose scheduler is started by another program, which becomes it. If a busy machine prevents the start of the
+    /// Begins a show. Another program (`starter`) starts the scheduler by replacing itself. If a busy machine prevents the start of the
     /// mission, it is begun again: nothing has been stopped yet.
     pub fn begin_by(trouble: Trouble, starter: &[&str]) -> Self {
         let mut told = Vec::new();
@@ -123,7 +123,7 @@ impl Show {
         panic!("no mission begins:\n{}", told.join("\n"))
     }
 
-    /// Returns the scheduler's output if no mission was started.
+    /// Begins a show once. Returns the scheduler's output as the error if the robots do not start.
     fn try_to_begin(trouble: Trouble, starter: &[&str]) -> Result<Self, String> {
         let mut stage = Stage::new();
         stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel());
@@ -193,7 +193,7 @@ impl Show {
         Ok(show)
     }
 
-    /// Begins the trouble, and returns once it has begun.
+    /// Causes the trouble, and returns once it has begun.
     pub fn strike(&mut self) {
         let fleet = || std::fs::read_to_string(self.stage.path("fleet.yaml")).unwrap();
         match self.trouble {
@@ -224,7 +224,7 @@ impl Show {
         }
     }
 
-    /// Ends the scheduler as a power cut would.
+    /// Kills the scheduler, which ends as in a power cut.
     pub fn kill(&mut self) {
         kill_process(self.pid, Signal::KILL).unwrap();
         self.started.0.wait().unwrap();
@@ -237,7 +237,8 @@ impl Drop for Show {
     }
 }
 
-/// Returns the program in a stage under this trouble.
+/// Returns a command that runs Downbeat in a stage, with what this trouble requires: a terminal program, or a library that makes the disk
+/// fail.
 pub fn program(stage: &Stage, args: &[&str], trouble: Trouble) -> Command {
     let plain = stage.command(args);
     let mut command = match trouble {
@@ -277,7 +278,7 @@ fn pid_in(path: &Path) -> Pid {
     }
 }
 
-/// Fills the pipe until it accepts no further bytes.
+/// Writes to a pipe until it accepts no further bytes.
 pub fn fill(mut pipe: &PipeWriter) {
     rustix::io::ioctl_fionbio(pipe, true).unwrap();
     for size in [4_096, 1] {
@@ -286,7 +287,7 @@ pub fn fill(mut pipe: &PipeWriter) {
     rustix::io::ioctl_fionbio(pipe, false).unwrap();
 }
 
-/// Returns the reports of the missions in the state folder, wherever their own output went.
+/// Returns the reports of all missions of the stage, from their journals or their recording.
 fn reported(stage: &Stage) -> String {
     if stage.path(RECORDING).exists() {
         return stage.run(&["report", RECORDING, "--partial"]).out;

@@ -1,4 +1,4 @@
-//! Schedulers that are partly suspended before or after the stop.
+//! Schedulers that are suspended in part (for example, while they wait for the disk) before or after the stop.
 
 use std::io::{Read, pipe};
 use std::process::Stdio;
@@ -44,7 +44,7 @@ fn a_report_is_printed_while_the_disk_stands_still() {
     assert_eq!(stopped.code, Some(3));
 }
 
-/// Returns the number of connections of each robot.
+/// Returns for each robot the number of its connections.
 fn connections(show: &Show) -> Vec<usize> {
     show.stage.robots.iter().map(Robot::connections).collect()
 }

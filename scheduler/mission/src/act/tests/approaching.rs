@@ -5,7 +5,7 @@ use downbeat_plan::OnDoubt;
 
 use super::*;
 
-/// The end of a script's lease on a robot, if this question was the last one that it received.
+/// Returns when the lease of the script with this `id` ends, if the robot receives no further question after this one.
 fn ends(question: &Question, id: &urrcp::RequestId) -> Option<Timestamp<Server>> {
     let group = question.named.iter().find(|group| group.requests.contains(id))?;
     Some(question.at + ROUND_TRIP / 2 + group.lease?)
@@ -161,7 +161,7 @@ fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() 
     }
 }
 
-/// An act whose process stalls from well before the last rounds until `after` past the critical instant.
+/// Returns an act whose process stalls from well before the last rounds until `after` past the critical instant.
 fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(leases);

@@ -1,23 +1,23 @@
-//! Clocks at the end of an act, compared with the offsets with which its scripts were sent.
+//! Tests of clocks at the end of an act, compared with the offsets with which its scripts were sent.
 
 use super::*;
 use crate::ClockMode;
 use crate::clock::ClockEstimate;
 
-/// An exchange with a clock that is ahead by `ahead` milliseconds.
+/// Returns a sample of a clock that is ahead by `ahead` milliseconds.
 fn shows(now: Timestamp<Server>, ahead: i64) -> ClockSample {
     let there = by_robot(now) + ms(ahead);
     ClockSample::from_exchange(now, there, there, now)
 }
 
-/// A clock that is now ahead by `ahead` milliseconds.
+/// Returns an estimate of a clock that is now ahead by `ahead` milliseconds.
 fn drifted(now: Timestamp<Server>, ahead: i64) -> ClockEstimate {
     let mut clock = ClockEstimate::default();
     clock.add(shows(now, ahead));
     clock
 }
 
-/// Two robots whose clocks are measured have played their act.
+/// Lets the two robots of `bench`, whose clocks are measured, play their act.
 fn both_have_played(mut bench: Bench) -> Bench {
     bench.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
     (0..2).for_each(|robot| bench.ask(robot));
@@ -32,12 +32,12 @@ fn played() -> Bench {
     both_have_played(bench)
 }
 
-/// The act of [`played`], which another process had begun.
+/// Like [`played`], but another process began the act, and this one has taken it over.
 fn resumed() -> Bench {
     both_have_played(super::resumed::taken_up(super::super::Reached::Commitment, ms(-100)))
 }
 
-/// Time in milliseconds by which the robots were certainly apart or off their plan.
+/// Returns the time in milliseconds by which the robots were certainly apart or off their plan.
 fn apart(bench: &Bench) -> f64 {
     bench.act.drifted_apart(&bench.robots).unwrap().as_millis_f64().round()
 }

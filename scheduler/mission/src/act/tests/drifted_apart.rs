@@ -1,11 +1,11 @@
-//! Clocks that drift while an act plays: whether robots were certainly apart at its end.
+//! Tests whether robots whose clocks drift while an act plays were certainly apart at its end.
 
 use super::*;
 use crate::ClockMode;
 use crate::clock::ClockEstimate;
 
-/// Two robots that have played. Each has the time from the start to its end in milliseconds, the offset of its clock at the start in
-/// milliseconds, and the drift of its clock relative to that of this machine in ppm.
+/// Returns two robots that have played. Each tuple contains the time in milliseconds from the start to the robot's end, and two values of
+/// its clock: the offset at the start in milliseconds, and the drift relative to this machine's clock in ppm.
 fn played(clock: ClockMode, robots: [(i64, i64, f64); 2]) -> Bench {
     let scripts = robots.map(|(lasts, ..)| [("a", 0, lasts)]);
     let scripts: Vec<&[Planned]> = scripts.iter().map(<[Planned; 1]>::as_slice).collect();

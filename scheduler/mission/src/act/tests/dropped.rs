@@ -1,8 +1,8 @@
-//! A robot that is left out never receives anything again, at any stage of the act.
+//! Tests that a robot that is left out never receives anything again, at any stage of the act.
 
 use super::*;
 
-/// Number of scripts, questions and readings that were requested of a robot.
+/// Returns the number of scripts, questions and readings that were requested of a robot.
 fn wanted_of(bench: &Bench, robot: usize) -> usize {
     let read = bench.reads.iter().filter(|(_, read, _)| *read == robot).count();
     bench.sent_to(robot).len() + bench.asked_of(robot).count() + read

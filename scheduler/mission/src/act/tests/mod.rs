@@ -1,4 +1,4 @@
-//! An act without a mission: the tests simulate answers, the disk and time.
+//! Tests of an act without a mission. The tests simulate answers, the disk and time.
 
 mod approaching;
 mod drift;
@@ -29,7 +29,7 @@ use crate::{Loss, MissionOptions, Outcome, Progress};
 
 const ROUND_TRIP: Span = Span::from_micros(400);
 const LEASE: Span = Span::from_millis(240);
-/// The expected duration of a record.
+/// The expected duration of writing a record to disk.
 const RECORDING: Span = Span::from_millis(20);
 
 #[derive(Clone, Debug, PartialEq)]
@@ -125,7 +125,7 @@ impl Bench {
         }
     }
 
-    /// Two robots that report everything, with one script each.
+    /// Returns two robots that report everything, with one script each.
     fn pair() -> Self {
         Self::new(&[Tells::Everything; 2], &[&[("a", 0, 400)], &[("a", 0, 400)]])
     }
@@ -278,7 +278,7 @@ impl Bench {
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }
 
-    /// Passes the answer to a question to the act: the times, and the states of the scripts.
+    /// Passes a robot's answer to the act: its clock times, and the states of its scripts.
     fn answer(&mut self, robot: usize, asked: Timestamp<Server>) {
         let there = by_robot(asked + ROUND_TRIP / 2);
         self.robots[robot].clock.add(ClockSample::from_exchange(asked, there, there, self.now));
@@ -306,7 +306,7 @@ impl Bench {
         self.carry_out(noted.actions);
     }
 
-    /// The true state of a script on a robot that plays correctly.
+    /// Returns the true state of a script on a robot that plays correctly.
     fn truth(&self, script: ScriptRef, when: Timestamp<Server>) -> RequestState {
         let plan = &self.act.script(script).plan;
         let start = self.start() + plan.start.span();
@@ -340,7 +340,7 @@ impl Bench {
         self.carry_out(noted.actions);
     }
 
-    /// The scripts of a robot in this act.
+    /// Returns the scripts of a robot in this act.
     fn scripts_of(&self, robot: usize) -> Vec<ScriptRef> {
         let member = self.act.members().iter().position(|member| member.robot == robot).unwrap();
         let scripts = self.act.members()[member].scripts().len();
@@ -372,7 +372,7 @@ impl Bench {
         self.records(|record| matches!(record, Record::Decided { .. }))
     }
 
-    /// Continues until the act is promised, accepted by all and decided.
+    /// Continues until the act has been promised, accepted by all robots, and decided.
     fn decide(&mut self, leases: Leases) {
         self.promise(leases);
         self.run_until(self.now + ms(4));
@@ -405,7 +405,7 @@ fn robots(tells: &[Tells], queue: usize) -> Vec<RobotState> {
     tells.iter().enumerate().map(robot).collect()
 }
 
-/// The timing of an act that is sent now to robots on a fast link.
+/// Returns the timing of an act that is sent now to robots on a fast link.
 fn timing(act: &Act, now: Timestamp<Server>, leases: Leases, late: Span) -> Timing {
     let (robots, scripts) = (act.members().len(), act.members().iter().map(|m| m.scripts().len()).sum());
     let early = ms(1);

@@ -12,7 +12,7 @@ fn chain(tells: Tells, queue: usize) -> Bench {
     Bench::of(&[tells], queue, bench::played(&scripts))
 }
 
-/// The time at which each script was sent, relative to the start.
+/// Returns the time at which each script was sent, relative to the start.
 fn sent_at(bench: &Bench) -> Vec<Span> {
     bench.sent_to(0).iter().map(|(at, _)| *at - bench.start()).collect()
 }
@@ -136,7 +136,8 @@ fn a_script_that_begins_late_on_another_device_does_not_hold_up_refills_and_read
     assert_eq!(bench.reads.first().map(|(at, ..)| *at), Some(bench.start() + ms(50)));
 }
 
-/// The last robot may start 100 ms late. By then the first one, which is on time, has played most of its scripts.
+/// Returns an act of two robots. The second one may start 100 ms late. By then, the first one, which is on time, has played most of its
+/// scripts.
 fn beside_a_late_one(tells: Tells) -> Bench {
     let scripts: [&[Planned]; 2] =
         [&[("a", 0, 30), ("a", 30, 30), ("a", 60, 30), ("a", 90, 30)], &[("a", 0, 400)]];
@@ -190,7 +191,7 @@ fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
     );
 }
 
-/// Many robots that begin one after another.
+/// Returns many robots that begin one after another.
 fn one_after_another(robots: usize) -> Bench {
     let scripts: Vec<Vec<Planned>> =
         (0..robots).map(|robot| vec![("a", i64::try_from(robot).unwrap(), 400)]).collect();
@@ -412,7 +413,7 @@ fn a_robot_that_only_answers_is_asked_again_soon_until_its_script_has_ended() {
     assert!(asked.windows(2).all(|pair| pair[1] - pair[0] == ms(50)), "{asked:?}");
 }
 
-/// A robot that reports nothing was sent the third script of its device, and has not answered yet.
+/// Returns a robot that reports nothing, after it was sent the third script of its device. It has not answered yet.
 fn sent_a_third_script() -> (Bench, ScriptRef) {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 5_000)]];
     let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));

@@ -1,4 +1,4 @@
-//! The promise before anything is sent, and the one decision.
+//! Tests of the promise, which is recorded before anything is sent, and of the decision to start.
 
 use super::super::preparing::HELD_UP;
 use super::*;
@@ -214,7 +214,7 @@ fn requests_are_named_after_the_time_at_which_they_are_sent() {
     assert_eq!(names, [format!("{micros}/0/0/0"), format!("{micros}/0/1/0")]);
 }
 
-/// One robot with these scripts. Each device holds two.
+/// Promises an act with these scripts to one robot. Each device has room for two scripts.
 fn promised_to_one(scripts: &[Planned], leases: Leases) -> Bench {
     let tells = if leases == Leases::Shortened { Tells::Everything } else { Tells::Reports };
     let mut bench = Bench { silent: vec![0], ..Bench::new(&[tells], &[scripts]) };

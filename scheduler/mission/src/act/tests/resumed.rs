@@ -1,4 +1,4 @@
-//! An act that another process has promised.
+//! Tests of an act that another process has promised and this one takes over.
 
 use super::super::Reached;
 use super::*;
@@ -13,7 +13,8 @@ fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
     (bench, promise)
 }
 
-/// The other process died, and this one takes over this long before the start. The robots still hold their scripts.
+/// Returns an act whose process has died, and that this process takes over `before_start` before its start. The robots still hold their
+/// scripts.
 pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let (other, promise) = promised(&scripts);
@@ -240,7 +241,8 @@ fn offsets_continue_from_those_in_the_journal_no_faster_than_clocks_drift() {
     }
 }
 
-/// An act of three robots with a second script after `later`, taken over after its start, and the clocks of its robots.
+/// Takes over an act of three robots after its start. Each robot has a second script that begins `later` milliseconds after the start.
+/// Returns the failure that the clock of the first robot shows, if any.
 fn clocks_after_take_up(later: i64, clocks: [ClockSample; 3]) -> Option<FailureKind> {
     let chain = [("a", 0, 400), ("a", later, 400)];
     let scripts: [&[Planned]; 3] = [&chain; 3];
@@ -257,7 +259,7 @@ fn clocks_after_take_up(later: i64, clocks: [ClockSample; 3]) -> Option<FailureK
     act.clock_was_set(now, 0, &robots)
 }
 
-/// An exchange with a clock that is ahead by `ahead` milliseconds, whose answer took `back` milliseconds.
+/// Returns a sample of a clock that is ahead by `ahead` milliseconds. The answer with it took `back` milliseconds.
 fn exchange(ahead: i64, back: i64) -> ClockSample {
     let there = by_robot(at(500)) + ms(ahead);
     ClockSample::from_exchange(at(500), there, there, at(500 + back))

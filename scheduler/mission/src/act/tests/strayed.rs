@@ -1,8 +1,9 @@
-//! Clocks that stray, and leases that end: known clocks and the start of each script decide.
+//! Tests of clocks that stray and leases that end. The known clocks and the start of each script decide whether a robot has failed.
 
 use super::*;
 
-/// A robot that does not report by itself begins a script late in the act, and plays it under a lease of [`bench::RUNNING`].
+/// Returns an act with a robot that does not report by itself. It begins a script late in the act, and plays it under a lease of
+/// [`bench::RUNNING`].
 fn plays_from(begins: i64, lasts: i64) -> Bench {
     let mut bench =
         Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", begins, lasts)]]);

@@ -1,4 +1,4 @@
-//! The conditions that an act waits for, and the cases in which the operator's go is accepted.
+//! Tests of the conditions that an act waits for, and of the cases in which the operator's go is accepted.
 
 use chrono::{FixedOffset, Offset, Utc};
 use downbeat_fleet::sensor_range::SensorRange;
@@ -15,7 +15,7 @@ fn waits_for(wait: Wait) -> Bench {
     Bench::of(&[Tells::Everything], 2, choreography.into())
 }
 
-/// An act with this condition, while an earlier act still plays.
+/// Returns an act with this condition, while an earlier act still plays.
 fn behind_another(wait: Wait) -> Bench {
     let bench = waits_for(wait);
     let act = Act::new(Arc::clone(&bench.act.choreography), 0, 1, &bench.robots, at(0), Some(at(500)));
@@ -101,7 +101,7 @@ const CHANGES: Zone = Zone::new(|instant| {
     if instant >= at(0) && instant < at(BACK) { FixedOffset::east_opt(3_600).unwrap() } else { Utc.fix() }
 });
 
-/// The announcement and the target of an act that becomes the next one at `at(since)`. The act waits until the clocks show the
+/// Returns the announcement and the target of an act that becomes the next one at `at(since)`. The act waits until the clocks show the
 /// time of day of `at(shown)` in UTC.
 fn waits_across_a_change(since: i64, shown: i64) -> (String, Option<Timestamp<Server>>) {
     let time = Span::from_nanos(at(shown).as_nanos().rem_euclid(ms(24 * HOUR).as_nanos()));

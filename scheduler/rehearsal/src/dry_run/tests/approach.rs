@@ -19,7 +19,8 @@ fn linear(id: usize) -> InitializationBlock {
     block
 }
 
-/// Plays a show of two arms that starts with an approach. The second arm disconnects once it has accepted the approach.
+/// Plays a show of two arms that starts with an approach, an act that moves devices to their first positions. The second arm disconnects
+/// once it has accepted the approach.
 fn approached(on_failure: &str) -> Played {
     let robot = |id| FleetRobot::new(linear(id).id, Address::Simulated, Some(linear(id)));
     let fleet = Fleet { robots: vec![robot(0), robot(1)], ..Fleet::default() };

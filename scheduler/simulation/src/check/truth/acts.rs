@@ -75,7 +75,7 @@ impl Said<'_> {
         }
     }
 
-    /// Checks that robots with an announced window received the commitment within the window.
+    /// Checks that a commitment window in the report was announced, and that every robot received a message within it.
     fn window(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
         let number = said.number;
         let Some(window) = said.window else { return };
@@ -185,8 +185,8 @@ impl Said<'_> {
     }
 }
 
-/// Describes a wrong start in the report, if any. The start must be the one that the robot logged by its own clock. If the script's
-/// offset may be lost, the reported error may be unknown.
+/// Describes what is wrong with a start in the report; `None` if it is correct. The start must be the one that the robot logged by its
+/// own clock. If the script's clock offset may be lost, the reported error may be unknown.
 fn wrong_start(
     act: &SentAct<'_>,
     script: &SentScript<'_>,
@@ -211,13 +211,13 @@ fn wrong_start(
     })
 }
 
-/// Actual minus planned start of a script, by the robot's own clock.
+/// Returns the actual start of a script minus its planned start, by the robot's own clock.
 pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
     let planned = act.start_as_told(script) + script.starts_after + script.shift;
     first.set_at - planned.assume_clock()
 }
 
-/// The first script of each device. These scripts start together.
+/// Returns the first script of each device. All of these start together.
 fn firsts(robot: &ActRobot) -> impl Iterator<Item = &DeviceReport> {
     let devices = robot.devices.iter().enumerate();
     let first = |(index, script): &(usize, &DeviceReport)| {

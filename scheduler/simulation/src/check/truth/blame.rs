@@ -1,4 +1,4 @@
-//! Checks the reported failures and their reasons: no robot is blamed for a fault outside of itself and its link.
+//! Checks the failures in a report and their reasons: no robot is blamed for a fault outside of itself and its link.
 
 use downbeat_plan::{RefillKind, refills_of_robots};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
@@ -33,8 +33,9 @@ impl Said<'_> {
         }
     }
 
-    /// If a robot is honest and without faults, and its link loses and delays nothing, then only its clock and the time to send may be
-    /// wrong. A lack of time to send is found by measurement or, if the link was unusually fast at first, by a script that arrives late.
+    /// Checks that no robot is blamed that is honest and had no fault, if its link loses and delays nothing. Only its clock, or too
+    /// little time to send scripts, can be a reason then. That the time is too short is measured or, if the link was unusually fast at
+    /// first, shown by a script that arrives late.
     fn no_innocent(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -62,10 +63,11 @@ impl Said<'_> {
         }
     }
 
-    /// In a mission that was resumed: whether an earlier process of the scheduler had stopped the robot, or never sent the script that
-    /// the robot lacks. The journal may not contain this. If the scheduler's clock was set between two processes, a script may seem older
-    /// than a stop before it, and a report may seem too early. Silence is not compared yet: a robot that accepts no inquiries may be
-    /// blamed without an inquiry.
+    /// Whether a failure may be due to an earlier process of the scheduler, if the mission was resumed. That process had stopped the
+    /// robot, or never sent the script that the robot lacks, and the journal may not contain this.
+    ///
+    /// If the scheduler's clock was set in between, a script may seem older than a stop before it, and a report may seem too early.
+    /// Silence is not compared yet: a robot that accepts no inquiries may be blamed without an inquiry.
     fn followed_another_process(&self, robot: usize, kind: &FailureKind) -> bool {
         let Some(resumed) = self.resumed_at else { return false };
         let mut faults = self.facts.drawn().faults.iter();
@@ -89,8 +91,8 @@ impl Said<'_> {
         }
     }
 
-    /// Whether the failure is that a device would jump. The robot states its positions, and a device that has never moved is away from
-    /// the first position of an act.
+    /// Whether the failure rightly states that a device would jump. The robot states its positions, and a device that has never moved is
+    /// not at the first position of an act.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
@@ -114,8 +116,8 @@ impl Said<'_> {
         (reading - expected).abs() > JUMP && was_there && !self.facts.stopping.is_empty()
     }
 
-    /// Whether a script arrived late because the time with free queue space on its device is shorter than an exchange on the link may
-    /// take. The few exchanges of the greeting did not show that.
+    /// Whether a script arrived late because its device had free queue space for too short a time: shorter than an exchange on the link
+    /// may take. The few exchanges of the greeting (at the start of the mission) may not show that.
     fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Script { device, error } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
@@ -134,8 +136,8 @@ impl Said<'_> {
     }
 }
 
-/// Whether the robot itself reports that the scheduler was silent for too long or late. If the scheduler ended or stalled, that report is
-/// true and the only permitted failure.
+/// Whether the failure is the robot's own report that the scheduler was silent for too long or late. If the scheduler ended or stalled,
+/// that report is true, and no other failure is permitted.
 fn blames_scheduler(kind: &FailureKind) -> bool {
     match kind {
         FailureKind::Script { error, .. } => matches!(error.code, ErrorCode::LinkLost | ErrorCode::Late),

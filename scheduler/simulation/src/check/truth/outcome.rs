@@ -10,7 +10,7 @@ use crate::check::situation::off_its_plan;
 use downbeat_mission::report::RobotReport;
 use downbeat_mission::{ActFate, Outcome, Progress, Record, Standing};
 
-/// Maximum error of a measured clock, in addition to the round trip: the maximum drift over one minute.
+/// Maximum error of a measured clock, in addition to the round trip: the maximum drift in one minute.
 const CLOCK_ERROR: Span = Span::from_millis(6);
 
 impl Said<'_> {
@@ -26,8 +26,8 @@ impl Said<'_> {
         self.course(wrong);
     }
 
-    /// Checks that every step of every script of every act was set, and on time. By the robot's own clock, the start is within the
-    /// tolerance, and later steps are on time or counted as late. A separate invariant ensures that nothing is set twice.
+    /// Checks that robots performed every step of every script of every act on time. By the robot's own clock, the start is within the
+    /// tolerance, and later steps are on time or counted as late. Another invariant ensures that nothing happens twice.
     fn all_done(&self, wrong: &mut Vec<String>) {
         for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
@@ -44,8 +44,8 @@ impl Said<'_> {
         }
     }
 
-    /// Checks robots with a measured clock: at the end of an act, none deviated from the plan by more than the tolerance plus the clock's
-    /// uncertainty.
+    /// Checks that no robot with a measured clock deviated from the plan too much at the end of an act. The limit is the tolerance plus
+    /// the clock's uncertainty.
     fn none_drifted(&self, wrong: &mut Vec<String>) {
         // In an act that was resumed, the mission compares robots only with each other.
         for act in self.facts.acts.iter().filter(|act| act.counts() && !self.facts.was_resumed(act)) {
@@ -96,7 +96,7 @@ impl Said<'_> {
         }
     }
 
-    /// Checks that no robot moved, unless the report itself states that its actions are unknown.
+    /// Checks that no robot moved, except robots whose actions the report states to be unknown.
     fn nothing_moved(&self, wrong: &mut Vec<String>) {
         for row in &self.report.robots {
             let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot))
@@ -194,7 +194,7 @@ impl Said<'_> {
         })
     }
 
-    /// Whether all robots of an act had been left out or were absent when the act was skipped. They may be absent from the start or
+    /// Whether, when an act was skipped, each of its robots had been left out or was absent. Robots may be absent from the start or
     /// because of their own faults.
     fn nobody_left(&self, act: usize, skipped: Timestamp<Server>) -> bool {
         let came_later = |robot: usize| {
@@ -216,7 +216,8 @@ impl Said<'_> {
         !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
 
-    /// Whether some robot of an act had not been left out when it ended; within one instant, the order of the records decides.
+    /// Whether at least one robot of an act had not been left out when the act ended. If both happened at the same instant, the order of
+    /// the records decides.
     fn has_one_left(&self, act: &SentAct<'_>) -> bool {
         let records = &self.facts.ran.records;
         let ended = records.iter().position(|(_, record)| match record {
@@ -242,15 +243,15 @@ impl Said<'_> {
         dropped.into_iter().any(|at| !self.facts.was_kept(at))
     }
 
-    /// The last attempt to play an act that the report contains. The disk may have lost the records of a later attempt and of its
-    /// withdrawal.
+    /// Returns the last attempt to play an act that the report contains. The disk may have lost the records of a later attempt that was
+    /// withdrawn.
     fn last_reported(&self, index: usize) -> Option<&SentAct<'_>> {
         let states =
             |act: &SentAct<'_>| self.report.acts.iter().any(|said| said.number == act.promise.number);
         self.facts.acts.iter().rfind(|act| act.promise.act == index && states(act))
     }
 
-    /// Whether some robot of an act had not accounted for all its scripts when the act ended.
+    /// Whether, when an act ended, at least one robot had scripts whose outcome is not known.
     fn has_one_unknown(&self, act: &SentAct<'_>) -> bool {
         self.facts.ran.records.iter().any(|(_, record)| match record {
             Record::ActEnded { report, flaws, .. } => {

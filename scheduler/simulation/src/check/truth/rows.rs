@@ -60,8 +60,7 @@ impl Said<'_> {
         }
     }
 
-    /// Checks that a robot that is reported as back received an inquiry about the time of its absence, unless it was absent from the
-    /// start.
+    /// Checks that a robot is reported to have reconnected at least as often as the operator was informed that it is back.
     fn links(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         let back = |(_, happened): &&(Timestamp<Server>, Happened)| match happened {
             Happened::Told(progress) => {
@@ -81,7 +80,8 @@ impl Said<'_> {
         }
     }
 
-    /// Checks that no robot is credited with more steps than possible, and that no number includes events that did not happen.
+    /// Checks that a report of success credits no robot with more steps than its scripts have, and that the number of started scripts is
+    /// true.
     fn claims(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let drawn = &self.facts.drawn().robots[robot];
         let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
@@ -149,8 +149,8 @@ impl Said<'_> {
         }
     }
 
-    /// The longest travel time of a message to a robot, or the longest stall of its process, because a lease is measured from receipt of
-    /// a message.
+    /// Returns the maximum time from sending a message until a robot processes it. Includes the longest delay of a message or stall of
+    /// the process, because a lease is measured from receipt of a message.
     pub(super) fn slowest(&self, robot: usize) -> urrcp::Span {
         let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
         let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));

@@ -9,7 +9,7 @@ const INIT: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "wrist", "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1}}},
   {"id": "angle", "available_control_types": {"sensor": {"min_value": 0, "max_value": 90}}}]}"#;
 
-/// A fleet of one arm with these keys, and with this latency file if there is one.
+/// Reads a fleet of one arm with these additional keys, and with this latency file if one is given.
 fn fleet(keys: &str, file: Option<&str>) -> (Option<Fleet>, Vec<Finding>) {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
@@ -20,7 +20,7 @@ fn fleet(keys: &str, file: Option<&str>) -> (Option<Fleet>, Vec<Finding>) {
     read_fleet(&folder.path().join("fleet.yaml"))
 }
 
-/// The latency and spread of each device in milliseconds, and their source.
+/// Returns the latency and spread of each device in milliseconds, each with its source.
 #[track_caller]
 fn latencies(keys: &str, file: Option<&str>) -> Vec<(String, f64, f64, LatencySource)> {
     let (fleet, findings) = fleet(keys, file);

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// The ends are off the grid, whose values are -3 to 3.
+/// A grid with the values -3 to 3. Its limits are not multiples of the granularity.
 const GRID: Grid = Grid { min: -3.4, max: 3.3, granularity: 1.0 };
 const CLOSE: f64 = 1e-9;
 const MS: i64 = 1_000_000;
@@ -30,7 +30,7 @@ impl Part {
         self.at(self.length as f64)
     }
 
-    /// The times at which it has a value, in order.
+    /// Returns the times at which the parabola has the given value, in order.
     fn meets(&self, value: f64) -> Vec<f64> {
         let [a, b, c] = [self.c[0] - value, self.c[1], self.c[2]];
         let roots = if c == 0.0 {
@@ -42,7 +42,7 @@ impl Part {
         roots.into_iter().filter(|ms| *ms > 0.0 && *ms < self.length as f64).collect()
     }
 
-    /// Times between which each value is either always or never within the tolerance.
+    /// Returns times that divide the part so that, within each interval, each grid value is either always or never within the tolerance.
     fn cuts(&self, tolerance: f64) -> Vec<f64> {
         let borders = (-3..=3).flat_map(|value| [-tolerance, tolerance].map(|off| f64::from(value) + off));
         let mut cuts: Vec<f64> = borders.flat_map(|border| self.meets(border)).collect();
@@ -56,7 +56,7 @@ impl Part {
 struct Case {
     parts: Vec<Part>,
     ends: Ends,
-    /// Factor between the true rates and the given bounds.
+    /// Factor by which the given bounds exceed the true rates.
     loose: f64,
 }
 
@@ -89,7 +89,8 @@ impl Case {
         movement.fewest(Some(&GRID), self.ends, self.written(), most)
     }
 
-    /// The fewest steps, by trying all values in all intervals of constant validity.
+    /// Returns the fewest steps by brute force: tries all values in all intervals in which each is either always or never within the
+    /// tolerance.
     fn by_trying(&self, tolerance: f64) -> Option<usize> {
         let last_is_near =
             self.ends.last.is_none_or(|last| (last - self.written()).abs() <= tolerance + CLOSE);
@@ -121,7 +122,7 @@ impl Case {
         fewest.iter().zip(&values).filter_map(ends).min()
     }
 
-    /// The largest error of steps, at many times, and the largest change of the movement per nanosecond.
+    /// Returns the largest error of steps, among many times, and the largest change of the movement per nanosecond.
     fn played(&self, steps: &[(f64, f64)]) -> (f64, f64) {
         let mut worst: f64 = 0.0;
         let mut steep: f64 = 0.0;

@@ -38,7 +38,7 @@ fn nanos(text: &str) -> i64 {
     found.unwrap_or_else(|| panic!("{text}: {:?}", reader.found)).as_nanos()
 }
 
-/// The characters, the message and the hint of the finding for a wrong number.
+/// Reads a wrong number. Returns the characters that the finding marks, its message, and its hint.
 #[track_caller]
 fn fault(text: &str) -> (String, String, Option<String>) {
     let (mut reader, node) = (reader(), Node::Text(text.to_owned()));
@@ -283,7 +283,7 @@ proptest! {
         tried(&text);
     }
 
-    /// Slope and curvature do not exceed the bounds anywhere in a piece.
+    /// The slope and the curvature of a formula stay within the computed bounds everywhere in each piece.
     #[test]
     fn slopes_and_curvatures_keep_within_their_bounds(
         kind in 0usize..8, p in 1i32..9, q in 1i32..9,

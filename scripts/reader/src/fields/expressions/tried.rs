@@ -1,4 +1,4 @@
-//! Reads any text as an expression of every kind, and checks invariants of the result, for `fuzz/`.
+//! Reads any text as an expression of every kind, and checks invariants of the results. Used by the fuzzer in `fuzz/`.
 
 use std::sync::Arc;
 

@@ -49,7 +49,7 @@ fn number(cell: &str) -> Option<f64> {
     cell.replace(',', ".").parse().ok()
 }
 
-/// Returns the first coordinate whose name heads several columns.
+/// Returns the first of the coordinates x, y and z that is the name of several columns; `None` if each name is unique.
 fn named_twice(cells: &[&str]) -> Option<&'static str> {
     let of_name = |name: &str| cells.iter().filter(|cell| cell.eq_ignore_ascii_case(name)).count();
     ["x", "y", "z"].into_iter().find(|name| of_name(name) > 1)

@@ -12,7 +12,7 @@ use downbeat_yaml::formats;
 
 /// Maximum number of points or triangles in a file.
 const ITEMS_MAX: usize = 1_000_000;
-/// Largest coordinate in a file, in the file's unit, which may be a millimetre; coordinates may also refer to the globe.
+/// Largest accepted coordinate in a file, in the file's unit. The limit permits millimetres, and coordinates that refer to the globe.
 const FURTHEST: f64 = 1e12;
 
 /// The points or the surface in a file.

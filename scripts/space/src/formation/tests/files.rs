@@ -22,7 +22,7 @@ fn refused(name: &str, bytes: &[u8], message: &str) {
     assert!(found.contains(message), "{found}");
 }
 
-/// Writes a square as a binary file whose header begins like that of a text file.
+/// Returns a square as a binary STL file whose header begins like that of a text file.
 fn binary_stl() -> Vec<u8> {
     let mut bytes = b"solid but binary".to_vec();
     bytes.resize(80, 0);

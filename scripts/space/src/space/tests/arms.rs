@@ -170,7 +170,7 @@ fn joints_by_matrices(body: &Body, place: &Place) -> Vec<[f64; 3]> {
     points
 }
 
-/// Returns the minimum of a convex function of a share from 0 to 1, by ternary search.
+/// Returns the minimum of a convex function over the arguments from 0 to 1, by ternary search.
 fn least(of: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {
@@ -243,7 +243,7 @@ fn any_joint() -> impl Strategy<Value = Joint> {
     )
 }
 
-/// Draws an arm on a base that may be a box.
+/// Generates arms on a base that may be a box.
 fn any_arm() -> impl Strategy<Value = Body> {
     let base =
         prop_oneof![Just(POINT), [0.1..0.5f64, 0.1..0.5, 0.1..0.5].prop_map(|size| Shape::Box { size })];
@@ -255,12 +255,12 @@ fn any_arm() -> impl Strategy<Value = Body> {
     })
 }
 
-/// Draws an arm, a ball or a box.
+/// Generates arms, balls and boxes.
 fn any_body() -> impl Strategy<Value = Body> {
     prop_oneof![any_arm(), shape().prop_map(|shape| Body { shape, ..Body::default() })]
 }
 
-/// Draws the values of coordinates over time in seconds, as many as any body needs.
+/// Generates the values of coordinates over time in seconds, for as many coordinates as any body needs.
 fn ways() -> impl Strategy<Value = Vec<Vec<(f64, f64)>>> {
     let way = proptest::collection::vec((0u32..40, -15i32..15), 1..6).prop_map(|mut points| {
         points.push((0, points[0].1));
@@ -301,7 +301,7 @@ proptest! {
         prop_assert!((found.distance - gap(found.at)).abs() < 1e-6, "{found:?}, but there {}", gap(found.at));
     }
 
-    /// No point of a link moves or bends more than its bound.
+    /// No point of a link moves further, or bends more, than its bounds permit.
     #[test]
     fn links_move_no_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
         let (body, ways) = &of;
@@ -330,7 +330,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// The library computes the distance between a link and a box; a search along the link finds the same distance.
+    /// The distance between a link and a box, computed by the library, is the one that a search along the link finds.
     #[test]
     fn the_distance_of_a_link_from_a_box_is_what_a_search_finds(
         a in vector(1.5), b in vector(1.5), size in [0.05f64..1.0, 0.05..1.0, 0.05..1.0],

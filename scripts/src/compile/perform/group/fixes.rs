@@ -17,16 +17,16 @@ use crate::transit::Required;
 
 /// Maximum number of robots in all trials together, because the duration of a trial grows at least quadratically.
 const ROBOTS_MAX: usize = 600;
-/// Durations to try, as factors of the given duration.
+/// Durations to try, as multiples of the given duration.
 const LONGER: [f64; 5] = [1.25, 1.5, 2.0, 3.0, 4.0];
-/// Sizes to try, as factors of the least size that might suffice.
+/// Sizes to try, as multiples of the smallest size that might suffice.
 const LARGER: [f64; 5] = [1.0, 1.1, 1.25, 1.5, 2.0];
-/// Sizes to try, as factors of the largest size that might fit.
+/// Sizes to try, as multiples of the largest size that might fit.
 const SMALLER: [f64; 4] = [1.0, 0.97, 0.9, 0.75];
-/// Distance by which rounding may move places beyond the limits of a device, in its units.
+/// Distance beyond a device's limits that is ignored as a rounding error, in the unit of the device.
 const ROUNDING: f64 = 1e-6;
 
-/// A group whose movement is impossible.
+/// A search for changes that make the movement of a group possible.
 pub(super) struct Fixes<'f> {
     cue: &'f Cue,
     group: &'f Together,
@@ -46,7 +46,7 @@ impl<'f> Fixes<'f> {
         Self { cue, group, dancers, ground, left: ROBOTS_MAX / dancers.len().max(1) }
     }
 
-    /// Returns all kinds of changes that resolve the fault, as a hint.
+    /// Returns a hint that lists all changes that were found to resolve the fault, one of each kind.
     pub(super) fn hint(mut self, fault: &Fault) -> Option<String> {
         let changes = match fault {
             Fault::TooShort { seconds, .. } => vec![self.longer(&[seconds / self.seconds()])],
@@ -95,7 +95,7 @@ impl<'f> Fixes<'f> {
         }
     }
 
-    /// Distance by which steps may bring two bodies closer to each other, in metres.
+    /// Returns the distance, in metres, by which the deviations of steps may bring two bodies closer to each other.
     fn stepped(&self) -> f64 {
         let error = |dancer: &Dancer<'_>| {
             let axes = dancer.axes.iter().map(|axis| axis.error(self.cue.tolerance).powi(2));
@@ -108,7 +108,8 @@ impl<'f> Fixes<'f> {
         self.group.over.as_millis_f64() / 1_000.0
     }
 
-    /// Returns the smallest share of the movements beyond a point that stays within the limits of all devices.
+    /// Returns the largest share of all movements that ends within the limits of all devices; 1 if the whole movements do. The share of a
+    /// movement counts from the coordinate that `from` returns. `None` if the share is not finite.
     fn part_within(&self, ways: &[Moved], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
         let mut least = 1.0f64;
         for (dancer, moved) in self.dancers.iter().zip(ways) {
@@ -162,8 +163,8 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// Returns the time with which the formation works at another size: the given time or, if that is too short, the shortest sufficient
-    /// one.
+    /// Returns the time within which the group can take the formation at `factor` times its size. This is the given time or, if that is
+    /// too short, the shortest sufficient one.
     fn tried(&mut self, factor: f64) -> Option<Span> {
         let mut over = self.group.over;
         for _ in 0..2 {
@@ -176,14 +177,14 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// Suggests a duration that suffices.
+    /// Suggests a duration that suffices, among the multiples `factors` of the given duration.
     fn longer(&mut self, factors: &[f64]) -> Option<String> {
         let overs = factors.iter().map(|factor| up(self.seconds() * factor)).collect::<Vec<_>>();
         let over = overs.into_iter().find(|over| matches!(self.ways(1.0, *over), Some(Ok(()))))?;
         Some(format!("`over: {}` is enough", written(over)))
     }
 
-    /// Suggests another formation from which the group can make the movement.
+    /// Suggests another formation that the group can take first, and from which it can then make the movement.
     fn by_way_of(&mut self) -> Option<String> {
         let (target, _) = self.target()?;
         let mut names: Vec<&String> = self.ground.of_scenario.formations.keys().collect();
@@ -217,7 +218,7 @@ impl<'f> Fixes<'f> {
         together
     }
 
-    /// Tries the task with the formation scaled by `factor` in the time `over`. `None` if no trials are left.
+    /// Tries the group's movement in the time `over`, with the formation scaled by `factor`. `None` if no trials are left.
     fn ways(&mut self, factor: f64, over: Span) -> Option<Result<(), Fault>> {
         let together = Together { over, ..self.group.clone() };
         let mut formations: HashMap<String, WrittenFormation> = HashMap::new();
@@ -257,13 +258,13 @@ impl<'f> Fixes<'f> {
     }
 }
 
-/// Returns the `grow` factor of a group that performs only a share of its growth.
+/// Returns the `grow` factor for a sweep that grows or shrinks by only the share `part` of the written change.
 fn grown(sweep: &Sweep, part: f64) -> f64 {
     let factor = 1.0 + (sweep.grow - 1.0) * part;
     rounded(factor, if sweep.grow > 1.0 { f64::floor } else { f64::ceil })
 }
 
-/// Returns the robot with another starting place.
+/// Returns a copy of a robot that begins at another place.
 fn at<'d>(dancer: &Dancer<'d>, from: Point) -> Dancer<'d> {
     let Dancer { robot, delay, body, axes, .. } = *dancer;
     Dancer { robot, delay, body, axes, from }

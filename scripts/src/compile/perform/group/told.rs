@@ -17,7 +17,7 @@ use super::Ground;
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
 impl Performer<'_, '_> {
-    /// Reports robots whose position in space is unknown, or that have none.
+    /// Reports robots without a body that the group could move, and robots whose position in space is unknown.
     pub(super) fn tell_excluded(
         &mut self,
         cue: &Cue,
@@ -50,7 +50,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// Reports two groups each of which depends on where the other one leaves a robot.
+    /// Reports two groups that depend on each other: each of them begins where the other one leaves a robot.
     pub(super) fn tell_entangled(&mut self, cue: &Cue, group: &Together) {
         let name = shortened(&cue.name);
         let message = format!(
@@ -61,7 +61,8 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// Reports why a group of these robots cannot make its movement. `fix` is a successful change, if one was found.
+    /// Reports why a group of these robots cannot make its movement. `fix` describes a change that makes the movement possible, if one
+    /// was found.
     pub(super) fn tell(
         &mut self,
         cue: &Cue,
@@ -169,7 +170,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// Reports faults of a path, or of the robots that move along it.
+    /// Reports faults of a path, or faults of the robots that move along it.
     fn tell_of_path(
         &mut self,
         group: &Together,
@@ -234,7 +235,7 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// `elsewhere`: another kind of object with this name.
+    /// Reports an unknown name. `elsewhere` describes an object of another kind that has this name, if there is one.
     fn tell_unknown(
         &mut self,
         code: Code,

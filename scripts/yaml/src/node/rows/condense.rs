@@ -6,19 +6,19 @@ use super::run::{Run, Start, next_start};
 use super::{Items, Rows};
 use crate::node::Node;
 
-/// Minimum number of rows of a run that is cut out; shorter runs are left to the YAML library.
+/// Minimum number of rows (keyframes) in a run that is cut out. Shorter runs are left to the YAML library.
 const ROWS_MIN: usize = 8;
-/// The character before and after the number of a run that replaces the run in the text. Texts that already contain this character are
-/// left to the YAML library.
+/// In the text, each run is replaced by its number between two of these characters. Texts that already contain this character are left to
+/// the YAML library.
 const MARK: char = '\u{e000}';
 
-/// A text with a marker in place of each run, and the runs.
+/// A YAML text with a marker in place of each run of keyframes, and the runs that were cut out.
 pub struct Condensed {
     pub text: String,
     runs: Vec<Arc<Rows>>,
 }
 
-/// Cuts all runs out of a text; `None` if it has none.
+/// Cuts all long runs of keyframes out of a text; `None` if it has none.
 pub fn condense(text: &str) -> Option<Condensed> {
     if text.contains(MARK) {
         return None;
@@ -43,8 +43,8 @@ pub fn condense(text: &str) -> Option<Condensed> {
 }
 
 impl Condensed {
-    /// Puts the runs back into the tree of the remaining text. `None` if a run was not in place of a list item, or if aliases add more
-    /// than `aliased_max` values.
+    /// Puts the runs back into `root`, the tree of the remaining text. `None` if the marker of a run is not a list item, or if aliases
+    /// repeat more than `aliased_max` keyframes.
     pub fn restore(&self, mut root: Node, aliased_max: usize) -> Option<Node> {
         let mut used = vec![0; self.runs.len()];
         self.put_back(&mut root, &mut used)?;
@@ -73,7 +73,7 @@ impl Condensed {
         }
     }
 
-    /// Puts runs back into a list that also has other items.
+    /// Puts runs back into a list that also contains other items.
     fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
         if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
             let mut all = Vec::with_capacity(nodes.len());

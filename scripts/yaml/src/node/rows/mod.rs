@@ -1,9 +1,9 @@
-//! Reads long runs of plain keyframes, such as `- {at: 40ms, to: 12.5, ease: smooth}`, without a tree of the YAML library, which needs a
-//! kilobyte per keyframe.
+//! Reads long runs of plain keyframes, such as `- {at: 40ms, to: 12.5, ease: smooth}`, without the YAML library. The tree of the library
+//! needs a kilobyte per keyframe.
 //!
-//! Each run is cut out of the text and replaced by a marker. The library reads the remaining text. A run is accepted only if its marker
-//! is parsed as an item of a list: this excludes runs in texts and comments. In all other cases, the library reads the whole text. The
-//! result is therefore always the same as with the library alone.
+//! Each run is cut out of the text and replaced by a marker, and the library reads the remaining text. If the library parses each marker
+//! as an item of a list, the runs are put back in their place. Otherwise, for example if a run is in a comment, the library reads the
+//! whole text. The result is therefore always the same as with the library alone.
 
 mod condense;
 mod run;
@@ -20,7 +20,7 @@ use crate::node::Node;
 
 pub use condense::condense;
 
-/// The items of a list. Items of a long run of keyframes become nodes only on access.
+/// The items of a list. A long run of keyframes is converted to nodes only when the items are accessed.
 #[derive(Clone, Debug)]
 pub enum Items {
     /// The items as nodes.
@@ -30,7 +30,7 @@ pub enum Items {
 }
 
 impl Items {
-    /// The nodes of the list; empty for long runs of keyframes, which contain no names.
+    /// Returns the nodes of the list, to normalize the names in them. Empty for a long run of keyframes, which contains no names.
     pub fn nodes_mut(&mut self) -> &mut [Node] {
         match self {
             Self::Nodes(nodes) => nodes,
@@ -67,14 +67,15 @@ impl<'a> IntoIterator for &'a Items {
     }
 }
 
-/// Words that may follow `ease:` in a row. A keyframe with another word is read as an ordinary node, so this list need not be complete.
+/// The words that may follow `ease:` in a run. A keyframe with another word is read as an ordinary node, so this list need not be
+/// complete.
 pub const EASES: [&str; 4] = ["linear", "smooth", "cubic", "step"];
 
-/// Keyframes of one device, each with the same number of values.
+/// A run of keyframes of one device, called rows. Each has the same number of values.
 #[derive(Debug, Default)]
 pub struct Rows {
     times: Vec<Span>,
-    /// The values of all rows, concatenated in order.
+    /// The values of all rows, concatenated in the order of the rows.
     pub(super) values: Vec<f64>,
     pub(super) width: Width,
     /// For each row, the index of its easing in [`EASES`], or `None`. The list is empty if no row has an easing.
@@ -82,7 +83,7 @@ pub struct Rows {
     nodes: OnceLock<Vec<Node>>,
 }
 
-/// How the values of a row are written.
+/// Whether each row has a single number or a list of values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
     /// Each row has a single number.
@@ -93,7 +94,7 @@ pub enum Width {
 }
 
 impl Width {
-    /// The number of values in a row.
+    /// Returns the number of values in a row.
     pub fn count(self) -> usize {
         match self {
             Self::One => 1,
@@ -102,7 +103,7 @@ impl Width {
     }
 }
 
-/// One keyframe of a long run.
+/// One keyframe of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
     /// The time of the keyframe.
@@ -119,7 +120,7 @@ impl Rows {
         self.times.len()
     }
 
-    /// How the values of the rows are written.
+    /// Returns whether each row has a single number or a list of values.
     pub fn width(&self) -> Width {
         self.width
     }

@@ -8,14 +8,14 @@ use crate::duration::parse_duration;
 /// Maximum length of a number in a row, in bytes.
 const NUMBER_BYTES_MAX: usize = 40;
 
-/// How the rows of a run are separated.
+/// The notation of the rows (keyframes) of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Style {
-    /// Items `{..}, {..}` within brackets.
+    /// Rows `{..}, {..}` within brackets.
     Brackets,
-    /// One item `- {..}` per line, indented by this number of spaces.
+    /// One row `- {..}` per line. The number is the indentation of the dash in spaces.
     Lines(usize),
-    /// Items `- at: ..` with `to: ..` on a separate line, indented by this number of spaces.
+    /// Rows `- at: ..` with `to: ..` on the next line. The number is the indentation of the dash in spaces.
     Blocks(usize),
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Start {
     pub(super) style: Style,
 }
 
-/// Finds the next position, from byte `at` on, at which a run may begin.
+/// Finds the next position, at byte `at` or later, at which a run may begin.
 pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     let bytes = text.as_bytes();
     let mut from = at;
@@ -41,7 +41,7 @@ pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     }
 }
 
-/// The indentation in spaces, if `ahead` ends with a line that has only spaces and a dash so far.
+/// Returns the indentation of a dash in spaces, if the last line of `ahead` consists only of spaces, the dash and one space.
 fn indent_of_dash(ahead: &[u8]) -> Option<usize> {
     let spaces = ahead.strip_suffix(b"- ")?;
     let indent = spaces.iter().rev().take_while(|byte| **byte == b' ').count();
@@ -77,7 +77,7 @@ impl<'t> Run<'t> {
         end
     }
 
-    /// Advances to the beginning of the next row.
+    /// Advances to the beginning of the next row; `None` if the run ends here.
     fn next(&mut self) -> Option<()> {
         match self.style {
             Style::Brackets => {
@@ -142,7 +142,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// Reads a keyframe in block style, with each key on a separate line; `at` and `to` come first.
+    /// Reads a keyframe in block style: `at`, `to` and an optional `ease`, in this order and each on its own line.
     fn block(&mut self, indent: usize) -> Option<(Span, Option<u8>)> {
         self.word("at: ")?;
         let at = self.time()?;
@@ -269,7 +269,7 @@ impl<'t> Run<'t> {
         self.byte(b'\n')
     }
 
-    /// Reads bytes while `part` accepts them; `None` unless there are 1 to [`NUMBER_BYTES_MAX`].
+    /// Reads bytes as long as `part` accepts them. `None` unless it accepts 1 to [`NUMBER_BYTES_MAX`] bytes.
     fn take_while(&mut self, part: impl Fn(u8) -> bool) -> Option<&str> {
         let rest = &self.text.as_bytes()[self.at..];
         let length = rest.iter().take(NUMBER_BYTES_MAX + 1).take_while(|byte| part(**byte)).count();
@@ -285,7 +285,7 @@ enum Key {
     Ease,
 }
 
-/// Parses a short time: a whole number of milliseconds or seconds.
+/// Parses a whole number of milliseconds or seconds with at most 7 digits, such as `40ms`; `None` for any other text.
 fn short_time(text: &str) -> Option<Span> {
     let (digits, nanos) = match text.strip_suffix("ms") {
         Some(digits) => (digits, 1_000_000),

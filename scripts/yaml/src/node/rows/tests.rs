@@ -1,4 +1,4 @@
-//! A text with runs is read as if by the library alone.
+//! Tests that a text with runs of keyframes is read exactly as the YAML library alone would read it.
 
 use proptest::prelude::*;
 
@@ -11,7 +11,7 @@ fn source(text: &str) -> Source {
     Source { name: "s.yaml".into(), text: text.to_owned() }
 }
 
-/// Equal times may be spelled differently.
+/// Makes trees comparable: writes equal times alike, and sorts the keys of each map.
 fn alike(node: &Node) -> Node {
     match node {
         Node::Text(text) => Node::Text(parse_duration(text).map_or_else(|| text.clone(), written)),
@@ -25,7 +25,7 @@ fn alike(node: &Node) -> Node {
     }
 }
 
-/// Reads the text both ways, and returns whether a run was found.
+/// Checks that the text is read alike with and without the special treatment of runs. Returns whether it contains a run.
 #[track_caller]
 fn same(text: &str) -> bool {
     let source = source(text);
