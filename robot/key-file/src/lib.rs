@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 pub use replaced::replace;
 use rustix::fs::{Mode, OFlags, Stat};
-pub use watched::Watched;
+pub use watched::{Versioned, Watched};
 
 /// Maximum size of a key file in bytes. A key and two certificates take about three thousand bytes.
 const BYTES_MAX: u64 = 64 * 1024;

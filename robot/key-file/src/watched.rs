@@ -1,8 +1,11 @@
 //! A file that may be replaced while it is in use.
 
+use std::fmt::Display;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::replace;
 
 /// Identifies a version of a file. The time of the last status change (`ctime`) cannot be set by programs, so even a file that keeps its
 /// modification time gets another stamp when its content changes.
@@ -29,7 +32,14 @@ impl Stamp {
     }
 }
 
-/// The content of a file, which is read again when the file changes. A version that cannot be used does not replace the previous one.
+/// Content whose versions have an order.
+pub trait Versioned {
+    /// Whether this version was made before the other one.
+    fn is_older_than(&self, other: &Self) -> bool;
+}
+
+/// The content of a file, which is read again when the file changes. A version that cannot be used, or that is older, does not replace the
+/// version in use.
 #[derive(Debug)]
 pub struct Watched<T> {
     path: PathBuf,
@@ -43,7 +53,7 @@ struct Latest<T> {
     content: Arc<T>,
 }
 
-impl<T> Watched<T> {
+impl<T: Versioned> Watched<T> {
     /// Reads a file for the first time.
     ///
     /// # Errors
@@ -55,23 +65,53 @@ impl<T> Watched<T> {
         Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }) })
     }
 
-    /// Returns the last usable content, without looking at the file.
+    /// Returns the path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns the version in use, without accessing the file.
     pub fn latest(&self) -> Arc<T> {
         Arc::clone(&self.lock().content)
     }
 
-    /// Returns the content, after reading the file again if it has changed. `read` gets the path and the previous content.
-    ///
-    /// # Errors
-    /// Those of `read`, once for each version of the file. The previous content remains in use.
-    pub fn refresh<E>(&self, read: impl FnOnce(&Path, &T) -> Result<T, E>) -> Result<Arc<T>, E> {
+    /// Returns the version in use, after reading the file if it has changed. Logs once why a version of the file is not used.
+    pub fn refresh<E: Display>(&self, read: impl FnOnce(&Path) -> Result<T, E>) -> Arc<T> {
         let mut latest = self.lock();
         let stamp = Stamp::of(&self.path);
         if latest.seen != stamp {
             latest.seen = stamp;
-            latest.content = Arc::new(read(&self.path, &latest.content)?);
+            match read(&self.path) {
+                Ok(content) if content.is_older_than(&latest.content) => {
+                    tracing::warn!(
+                        "{}: it is older than the version in use, which is kept",
+                        self.path.display()
+                    );
+                }
+                Ok(content) => latest.content = Arc::new(content),
+                Err(error) => tracing::warn!("{error}; the previous version remains in use"),
+            }
         }
-        Ok(Arc::clone(&latest.content))
+        Arc::clone(&latest.content)
+    }
+
+    /// Stores a version in the file and uses it, unless it is not newer than the version in use.
+    ///
+    /// # Errors
+    /// A sentence with the reason: the version is older than the one in use, or the file cannot be written.
+    pub fn replace(&self, text: &str, content: T) -> Result<(), String> {
+        let mut latest = self.lock();
+        if content.is_older_than(&latest.content) {
+            return Err("it is older than the version in use".to_owned());
+        }
+        if latest.content.is_older_than(&content) {
+            replace(&self.path, text.as_bytes(), 0o644)
+                .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
+            // `refresh` reads the file again, in case another process has replaced it meanwhile.
+            latest.seen = None;
+            latest.content = Arc::new(content);
+        }
+        Ok(())
     }
 
     fn lock(&self) -> MutexGuard<'_, Latest<T>> {
@@ -83,40 +123,72 @@ impl<T> Watched<T> {
 mod tests {
     use super::*;
 
-    fn read(path: &Path) -> Result<String, String> {
+    impl Versioned for u32 {
+        fn is_older_than(&self, other: &Self) -> bool {
+            self < other
+        }
+    }
+
+    fn read(path: &Path) -> Result<u32, String> {
         let text = std::fs::read_to_string(path).map_err(|error| error.to_string())?;
-        if text.contains("bad") { Err("bad".to_owned()) } else { Ok(text) }
+        text.parse().map_err(|_| "bad".to_owned())
+    }
+
+    /// Removes the file when a test ends.
+    struct File(PathBuf);
+
+    impl Drop for File {
+        fn drop(&mut self) {
+            let _removed_already = std::fs::remove_file(&self.0);
+        }
+    }
+
+    impl File {
+        fn new(test: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("downbeat-watched-{test}-{}", std::process::id()));
+            std::fs::write(&path, "1").unwrap();
+            Self(path)
+        }
     }
 
     #[test]
-    fn each_version_of_a_file_is_read_once_and_a_bad_one_does_not_replace_a_good_one() {
-        let path = std::env::temp_dir().join(format!("downbeat-watched-{}", std::process::id()));
-        std::fs::write(&path, "1").unwrap();
-        let modified = std::fs::metadata(&path).unwrap().modified().unwrap();
-        let watched = Watched::new(&path, read).unwrap();
+    fn each_version_of_a_file_is_read_once_and_only_a_later_one_replaces_the_one_in_use() {
+        let file = File::new("read");
+        let modified = std::fs::metadata(&file.0).unwrap().modified().unwrap();
+        let watched = Watched::new(&file.0, read).unwrap();
         let reads = std::cell::Cell::new(0);
         let refresh = || {
-            watched.refresh(|path, _| {
+            let content = watched.refresh(|path| {
                 reads.set(reads.get() + 1);
                 read(path)
-            })
+            });
+            (*content, reads.get())
         };
-        let write = |text: &str| {
-            std::fs::write(&path, text).unwrap();
-            std::fs::File::options().write(true).open(&path).unwrap().set_modified(modified).unwrap();
-        };
-        assert_eq!((refresh().unwrap().as_str(), reads.get()), ("1", 0));
-        // As long and as old as before.
-        write("2");
-        assert_eq!((refresh().unwrap().as_str(), reads.get()), ("2", 1));
-        write("bad");
-        assert_eq!((refresh().unwrap_err().as_str(), reads.get()), ("bad", 2));
-        assert_eq!((refresh().unwrap().as_str(), reads.get()), ("2", 2), "reported once");
-        std::fs::remove_file(&path).unwrap();
-        assert!(refresh().is_err());
-        assert_eq!((refresh().unwrap().as_str(), watched.latest().as_str()), ("2", "2"));
-        std::fs::write(&path, "3").unwrap();
-        assert_eq!(refresh().unwrap().as_str(), "3");
-        std::fs::remove_file(&path).unwrap();
+        assert_eq!(refresh(), (1, 0));
+        for (text, expected) in [("2", (2, 1)), ("x", (2, 2)), ("1", (2, 3)), ("3", (3, 4))] {
+            // Each version is as long and as old as the one before.
+            std::fs::write(&file.0, text).unwrap();
+            std::fs::File::options().write(true).open(&file.0).unwrap().set_modified(modified).unwrap();
+            assert_eq!(refresh(), expected, "{text}");
+            assert_eq!(refresh(), expected, "read once");
+        }
+        std::fs::remove_file(&file.0).unwrap();
+        assert_eq!((refresh().0, *watched.latest()), (3, 3));
+        std::fs::write(&file.0, "4").unwrap();
+        assert_eq!(refresh().0, 4);
+    }
+
+    #[test]
+    fn a_newer_version_is_stored_and_an_older_one_is_refused() {
+        let file = File::new("stored");
+        let watched = Watched::new(&file.0, read).unwrap();
+        let stored = || std::fs::read_to_string(&file.0).unwrap();
+        watched.replace("5", 5).unwrap();
+        watched.replace("not stored", 5).unwrap();
+        assert_eq!(watched.replace("4", 4).unwrap_err(), "it is older than the version in use");
+        assert_eq!((stored().as_str(), *watched.latest(), *watched.refresh(read)), ("5", 5, 5));
+        let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, String>(1)).unwrap();
+        let error = nowhere.replace("2", 2).unwrap_err();
+        assert!(error.starts_with("cannot write ") && *nowhere.latest() == 1, "{error}");
     }
 }

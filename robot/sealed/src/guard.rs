@@ -41,6 +41,12 @@ impl Guard {
         self.revoked.as_ref().map(CurrentSerials::list)
     }
 
+    /// Returns the list in use, like [`Guard::list`], but without accessing its file, which may have changed in the last second.
+    #[must_use]
+    pub fn latest_list(&self) -> Option<Arc<Serials>> {
+        self.revoked.as_ref().map(CurrentSerials::latest)
+    }
+
     /// Replaces the list of revoked passes with this one, if it is later. Its last line must contain the code that
     /// [`Secret::proven_list`] adds.
     ///

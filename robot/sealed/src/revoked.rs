@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use downbeat_key_file::{KeyFileError, Watched, read_regular};
+use downbeat_key_file::{KeyFileError, Versioned, Watched, read_regular};
 
 /// Maximum size of a list in bytes. A serial number takes about 60 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
@@ -79,45 +79,36 @@ impl Serials {
     }
 }
 
+impl Versioned for Serials {
+    fn is_older_than(&self, other: &Self) -> bool {
+        self.number < other.number
+    }
+}
+
 /// A list that is read again when its file changes. An older list does not replace it.
 #[derive(Debug)]
 pub(super) struct CurrentSerials {
-    path: PathBuf,
     file: Watched<Serials>,
 }
 
 impl CurrentSerials {
     pub(super) fn new(revoked: &RevokedSerials) -> Result<Self, KeyFileError> {
-        Ok(Self { path: revoked.path.clone(), file: Watched::new(&revoked.path, Serials::read)? })
+        Ok(Self { file: Watched::new(&revoked.path, Serials::read)? })
     }
 
-    /// Replaces the file with this list, unless the list in use is as new.
+    /// Stores this list in the file and uses it, unless the list in use is as new.
     pub(super) fn replace(&self, text: &str) -> Result<(), String> {
-        let before = self.list();
-        let list = Serials::of_text(text, &self.path).map_err(|error| error.to_string())?;
-        if list.number < before.number {
-            return Err("the list is older than the one in use".to_owned());
-        }
-        if list.number > before.number {
-            downbeat_key_file::replace(&self.path, text.as_bytes(), 0o644)
-                .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
-            self.list();
-        }
-        Ok(())
+        let list = Serials::of_text(text, self.file.path()).map_err(|error| error.to_string())?;
+        self.file.replace(text, list)
     }
 
-    /// Returns the current list. If the file contains no later list, this is the previous one.
+    /// Returns the list in use, without accessing the file.
+    pub(super) fn latest(&self) -> Arc<Serials> {
+        self.file.latest()
+    }
+
+    /// Returns the list in use, after reading the file if it has changed.
     pub(super) fn list(&self) -> Arc<Serials> {
-        let read = |path: &Path, before: &Serials| {
-            let list = Serials::read(path).map_err(|error| error.to_string())?;
-            if list.number < before.number {
-                return Err(format!("{}: it is older than the list in use", path.display()));
-            }
-            Ok(list)
-        };
-        self.file.refresh(read).unwrap_or_else(|error| {
-            tracing::warn!("the previous list of revoked passes remains in use: {error}");
-            self.file.latest()
-        })
+        self.file.refresh(Serials::read)
     }
 }

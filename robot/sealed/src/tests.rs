@@ -419,7 +419,7 @@ fn a_list_that_a_peer_sends_is_stored_only_with_the_code_of_the_authority() {
     }
     assert_eq!(
         guard.replace_list(&secret.proven_list("# number 4\n")).unwrap_err(),
-        "the list is older than the one in use"
+        "it is older than the version in use"
     );
     guard.replace_list(&proven).unwrap();
     assert_eq!((stored().as_str(), guard.list().unwrap().contains("0a:1b")), (later, true));

@@ -50,9 +50,9 @@ impl Door {
         match self {
             Self::Open => None,
             #[cfg(feature = "tls")]
-            Self::Tls(guard) => guard.list()?.number(),
+            Self::Tls(guard) => guard.latest_list()?.number(),
             #[cfg(feature = "sealed")]
-            Self::Sealed(guard) => guard.list().map(|list| list.number()),
+            Self::Sealed(guard) => guard.latest_list().map(|list| list.number()),
         }
     }
 }
@@ -125,7 +125,10 @@ impl Door {
     pub(super) async fn until_invalid(&self, key: &Key) -> Invalid {
         loop {
             tokio::time::sleep(CHECK).await;
-            if let Some(invalid) = self.invalid(key, calendar()) {
+            let (door, own) = (self.clone(), key.clone());
+            // A slow file system must not delay other connections.
+            let checked = tokio::task::spawn_blocking(move || door.invalid(&own, calendar()));
+            if let Ok(Some(invalid)) = checked.await {
                 return invalid;
             }
         }

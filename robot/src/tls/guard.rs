@@ -49,6 +49,12 @@ impl Guard {
         self.revoked.as_ref().map(CurrentList::list)
     }
 
+    /// Returns the list in use, like [`Guard::list`], but without accessing its file, which may have changed in the last second.
+    #[must_use]
+    pub fn latest_list(&self) -> Option<Arc<List>> {
+        self.revoked.as_ref().map(CurrentList::latest)
+    }
+
     /// Replaces the list of revoked certificates with this one, in PEM, if it is later.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ use x509_parser::prelude::{CertificateRevocationList, FromDer, X509Certificate};
 
 use super::config::provider;
 use super::credentials::CredentialsError;
-use downbeat_key_file::{Watched, read_regular};
+use downbeat_key_file::{Versioned, Watched, read_regular};
 
 /// Maximum size of a list in bytes. An entry takes about 40 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
@@ -104,7 +104,9 @@ impl List {
     pub fn is_overdue(&self, now: i64) -> bool {
         self.next_update.is_some_and(|at| at < now)
     }
+}
 
+impl Versioned for List {
     fn is_older_than(&self, other: &Self) -> bool {
         (self.number.len(), &self.number) < (other.number.len(), &other.number)
     }
@@ -126,13 +128,13 @@ fn is_signed_by(list: &CertificateRevocationList<'_>, authority: &CertificateDer
     algorithms.iter().any(|algorithm| algorithm.verify_signature(key, signed, signature).is_ok())
 }
 
-/// A list that is read again when its file changes. Only a later list of the same authority replaces it.
+/// A list that is read again when its file changes. Only a later list of the same authority replaces it, so no list admits revoked
+/// operators, or excludes operators that would stop the robot.
 #[derive(Debug)]
 pub(super) struct CurrentList {
-    path: PathBuf,
     authority: CertificateDer<'static>,
     file: Watched<List>,
-    /// Whether a warning about the overdue list was logged.
+    /// Whether a warning about an overdue list was logged.
     warned: AtomicBool,
 }
 
@@ -140,46 +142,30 @@ impl CurrentList {
     pub(super) fn new(revoked: &Revoked, authority: &CertificateDer<'static>) -> Result<Self, String> {
         let file = Watched::new(&revoked.path, |path| List::read(path, authority));
         let file = file.map_err(|error| error.to_string())?;
-        let path = revoked.path.clone();
-        Ok(Self { path, authority: authority.clone(), file, warned: AtomicBool::new(false) })
+        Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
     }
 
-    /// Replaces the file with this list, unless the list in use is as new.
+    /// Stores this list in the file and uses it, unless the list in use is as new.
     pub(super) fn replace(&self, text: &str) -> Result<(), String> {
-        let before = self.list();
-        let list = List::of_pem(text.as_bytes(), &self.path, &self.authority);
-        let list = list.map_err(|error| error.to_string())?;
-        if list.is_older_than(&before) {
-            return Err("the list is older than the one in use".to_owned());
-        }
-        if before.is_older_than(&list) {
-            downbeat_key_file::replace(&self.path, text.as_bytes(), 0o644)
-                .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
-            self.list();
-        }
-        Ok(())
+        let list = List::of_pem(text.as_bytes(), self.file.path(), &self.authority);
+        self.file.replace(text, list.map_err(|error| error.to_string())?)
     }
 
-    /// Returns the current list. If the file contains no later list of the authority, this is the previous one: it neither admits revoked
-    /// operators nor excludes operators that would stop the robot.
+    /// Returns the list in use, without accessing the file.
+    pub(super) fn latest(&self) -> Arc<List> {
+        self.file.latest()
+    }
+
+    /// Returns the list in use, after reading the file if it has changed.
     pub(super) fn list(&self) -> Arc<List> {
-        let read = |path: &Path, before: &List| {
-            let list = List::read(path, &self.authority).map_err(|error| error.to_string())?;
-            if list.is_older_than(before) {
-                return Err(format!("{}: it is older than the list in use", path.display()));
-            }
-            tracing::info!(number = list.number(), "{}: new list of revoked certificates", path.display());
-            self.warned.store(false, Ordering::Relaxed);
-            Ok(list)
-        };
-        let list = self.file.refresh(read).unwrap_or_else(|error| {
-            tracing::warn!("the previous list of revoked certificates remains in use: {error}");
-            self.file.latest()
-        });
-        if list.is_overdue(super::calendar()) && !self.warned.swap(true, Ordering::Relaxed) {
+        let list = self.file.refresh(|path| List::read(path, &self.authority));
+        let is_overdue = list.is_overdue(super::calendar());
+        if is_overdue && !self.warned.swap(true, Ordering::Relaxed) {
             tracing::warn!(
                 "the list of revoked certificates is overdue; get the current one from the authority"
             );
+        } else if !is_overdue {
+            self.warned.store(false, Ordering::Relaxed);
         }
         list
     }

@@ -250,10 +250,7 @@ fn a_list_that_a_peer_sends_is_stored_only_if_it_is_a_later_one_of_the_authority
     assert_eq!((stored(), guard.list().unwrap().number()), (text("anna-revoked.pem"), Some(2)));
     guard.replace_list(&text("anna-revoked.pem")).unwrap();
     let older = guard.replace_list(&text("none-revoked.pem")).unwrap_err();
-    assert_eq!(
-        (older.as_str(), stored()),
-        ("the list is older than the one in use", text("anna-revoked.pem"))
-    );
+    assert_eq!((older.as_str(), stored()), ("it is older than the version in use", text("anna-revoked.pem")));
     let without = Guard::new(folder.credentials("robot"), None).unwrap();
     assert!(without.replace_list(&text("anna-revoked.pem")).unwrap_err().contains("--revoked"));
 }

@@ -285,29 +285,47 @@ fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, form
 
 fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
     let RevokeArgs { named, fleet, project } = args;
+    // The fleet is read first: an error in its file prevents the whole command.
+    let fleet = match fleet.as_deref().map(|path| push::fleet(path, project, format)).transpose() {
+        Ok(fleet) => fleet,
+        Err(exit) => return Ok(exit),
+    };
     let authority = Authority::open(&named.folder.keys)?;
     let Some(name) = named.name() else { return Ok(Exit::Done) };
     let revoked = authority.revoke(&name, calendar())?;
     let (list, serials) = (authority.revoked(), authority.revoked_serials());
-    match format {
-        Format::Json => console::print_json(
-            &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials }),
-        ),
-        Format::Text => {
-            console::print(&format!("revoked {} of {}\n", counted(revoked, "key"), shown(&name.to_string())));
-            if fleet.is_none() {
-                console::print(&format!(
-                    "next: `downbeat keys push FLEET`, or copy {} to every robot, and {} to every robot with a secret; a robot with an old list still accepts revoked keys\n",
-                    shown(&list.display().to_string()),
-                    shown(&serials.display().to_string())
-                ));
-            }
-        }
-    }
     // The folder is locked while the authority is open.
     drop(authority);
-    let push = |fleet| push::push_to(fleet, project, &named.folder, PushArgs::PATIENCE, format);
-    Ok(fleet.as_deref().map_or(Exit::Done, push))
+    if format == Format::Text {
+        console::print(&format!("revoked {} of {}\n", counted(revoked, "key"), shown(&name.to_string())));
+        if fleet.is_none() {
+            console::print(&format!(
+                "next: `downbeat keys push FLEET`, or copy {} to every robot, and {} to every robot with a secret; a robot with an old list still accepts revoked keys\n",
+                shown(&list.display().to_string()),
+                shown(&serials.display().to_string())
+            ));
+        }
+    }
+    let sent = fleet.map(|fleet| push::send(&fleet, &named.folder, PushArgs::PATIENCE)).transpose();
+    if format == Format::Json {
+        let robots = sent.as_ref().ok().and_then(Option::as_ref);
+        let mut json = serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials });
+        robots.into_iter().for_each(|robots| json["robots"] = serde_json::json!(robots));
+        console::print_json(&json);
+    }
+    match sent {
+        Ok(None) => Ok(Exit::Done),
+        Ok(Some(robots)) => {
+            if format == Format::Text {
+                push::show(&robots);
+            }
+            Ok(push::exit(&robots))
+        }
+        Err(message) => {
+            console::error(&format!("the list was not sent to the robots: {message}"));
+            Ok(Exit::Failed)
+        }
+    }
 }
 
 fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Address, Fleet, Protection};
+use downbeat_scripts::{Address, Fleet, FleetRobot, Protection};
 use serde::Serialize;
 use urrcp::{RobotId, Span};
 
-use super::fleet::{Answer, Asked, ask_all, shown_list};
+use super::fleet::{Answer, ask_all, shown_list};
 use super::keys::FolderArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, load};
@@ -42,8 +42,8 @@ impl PushArgs {
 }
 
 /// The list that a robot uses after the latest one was sent to it.
-#[derive(Serialize)]
-struct Pushed {
+#[derive(Debug, Serialize)]
+pub(super) struct Pushed {
     robot: RobotId,
     /// Number of the list that the robot uses. `None` if unknown.
     list: Option<u64>,
@@ -52,95 +52,102 @@ struct Pushed {
 }
 
 pub(super) fn push(args: &PushArgs, format: Format) -> Exit {
-    push_to(&args.fleet, &args.project, &args.folder, args.patience, format)
-}
-
-/// Sends the latest list to all robots of a fleet that require a proven identity.
-pub(super) fn push_to(
-    path: &Path,
-    project: &ProjectArgs,
-    folder: &FolderArgs,
-    patience: Span,
-    format: Format,
-) -> Exit {
-    let fleet = match load::load_fleet(path, project, format) {
+    let fleet = match fleet(&args.fleet, &args.project, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
-    let (latest, asked) = match lists(&fleet, folder) {
-        Ok(lists) => lists,
+    let robots = match send(&fleet, &args.folder, args.patience) {
+        Ok(robots) => robots,
         Err(message) => {
             console::error(&message);
             return Exit::Usage;
         }
     };
-    if asked.is_empty() {
+    match format {
+        Format::Json => console::print_json(&serde_json::json!({ "robots": robots })),
+        Format::Text => show(&robots),
+    }
+    exit(&robots)
+}
+
+/// Reads a fleet file of which at least one robot requires a proven identity.
+pub(super) fn fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
+    let fleet = load::load_fleet(path, project, format)?;
+    if protected(&fleet).next().is_none() {
         console::error(&format!(
             "{}: no robot has a tls:// or hmac:// address, so none uses a list of revoked keys",
             shown(&path.display().to_string())
         ));
-        return Exit::Usage;
+        return Err(Exit::Usage);
     }
-    super::with_runtime(async {
-        match ask_all(&fleet, asked, Drivers::from(StartPrograms::No), patience).await {
-            Ok(answers) => show(answers.into_iter().map(|answer| pushed(answer, latest)).collect(), format),
-            Err(message) => {
-                console::error(&message);
-                Exit::Failed
-            }
-        }
+    Ok(fleet)
+}
+
+fn protected(fleet: &Fleet) -> impl Iterator<Item = (&FleetRobot, Protection)> {
+    fleet.robots.iter().filter_map(|robot| match robot.address {
+        Address::Tcp { protection, .. } if protection != Protection::Open => Some((robot, protection)),
+        _ => None,
     })
 }
 
-/// Returns the number of the latest list, and the robots that should use it, each with the text to send.
-fn lists<'a>(fleet: &'a Fleet, folder: &FolderArgs) -> Result<(u64, Vec<Asked<'a>>), String> {
-    let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
-    authority.renew_lists(calendar()).map_err(|error| error.to_string())?;
-    let mut asked = Vec::new();
-    for robot in &fleet.robots {
-        let Address::Tcp { protection, .. } = robot.address else { continue };
-        if protection == Protection::Open {
-            continue;
-        }
-        let id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
-        let list = authority.list_for(id, protection).map_err(|error| error.to_string())?;
-        asked.push((robot, Some(list)));
-    }
-    Ok((authority.list_number(), asked))
-}
-
-fn pushed(answer: Answer, latest: u64) -> Pushed {
-    let Answer { robot, problem, revocation_list, .. } = answer;
-    let list = revocation_list.as_ref().map(|list| list.number);
-    let problem = if list == Some(latest) {
-        None
-    } else {
-        let refused = revocation_list.and_then(|list| list.refused);
-        let unknown = || "it does not state which list it uses; copy the list to it".to_owned();
-        Some(refused.or(problem).unwrap_or_else(unknown))
-    };
-    Pushed { robot, list: list.filter(|number| *number > 0), problem }
-}
-
-fn show(robots: Vec<Pushed>, format: Format) -> Exit {
-    let all_well = robots.iter().all(|robot| robot.problem.is_none());
-    match format {
-        Format::Json => console::print_json(&serde_json::json!({ "robots": robots })),
-        Format::Text => {
-            for Pushed { robot, list, problem } in &robots {
-                match (problem, list) {
-                    (None, list) => {
-                        let list = list.map_or_else(String::new, |number| format!(" {}", shown_list(number)));
-                        console::print(&format!("{robot}: uses the latest list{list}\n"));
-                    }
-                    (Some(problem), Some(list)) => console::error(&format!(
-                        "{robot}: uses the older list {}: {problem}",
-                        shown_list(*list)
-                    )),
-                    (Some(problem), None) => console::error(&format!("{robot}: {problem}")),
+/// Sends the latest list to all robots of a fleet that require a proven identity.
+///
+/// # Errors
+/// A sentence with the reason why no robot could be asked.
+pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result<Vec<Pushed>, String> {
+    let (mut pushed, mut asked) = (Vec::new(), Vec::new());
+    let latest = {
+        // The folder is locked while the authority is open.
+        let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
+        authority.renew_lists(calendar()).map_err(|error| error.to_string())?;
+        for (robot, protection) in protected(fleet) {
+            let id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
+            match authority.list_for(id, protection) {
+                Ok(list) => asked.push((robot, Some(list))),
+                Err(error) => {
+                    let (robot, problem) = (robot.id.clone(), Some(error.to_string()));
+                    pushed.push(Pushed { robot, list: None, problem });
                 }
             }
         }
+        authority.list_number()
+    };
+    let mut answers = Err(String::new());
+    super::with_runtime(async {
+        answers = ask_all(fleet, asked, Drivers::from(StartPrograms::No), patience).await;
+        Exit::Done
+    });
+    pushed.extend(answers?.into_iter().map(|answer| result(answer, latest)));
+    Ok(pushed)
+}
+
+fn result(answer: Answer, latest: u64) -> Pushed {
+    let Answer { robot, problem, revocation_list, .. } = answer;
+    let list = revocation_list.as_ref().map(|list| list.number).filter(|number| *number > 0);
+    let problem = (list != Some(latest)).then(|| {
+        let refused = revocation_list.and_then(|list| list.refused);
+        let unknown = || "it does not state which list it uses; copy the list to it".to_owned();
+        refused.or(problem).unwrap_or_else(unknown)
+    });
+    Pushed { robot, list, problem }
+}
+
+pub(super) fn show(robots: &[Pushed]) {
+    for Pushed { robot, list, problem } in robots {
+        let list = list.map(shown_list);
+        match (problem, list) {
+            (None, list) => {
+                console::print(&format!("{robot}: uses the latest list {}\n", list.unwrap_or_default()));
+            }
+            (Some(problem), Some(list)) => {
+                console::error(&format!("{robot}: still uses list {list}: {problem}"));
+            }
+            (Some(problem), None) => console::error(&format!("{robot}: {problem}")),
+        }
     }
-    if all_well { Exit::Done } else { Exit::Failed }
+}
+
+/// Returns [`Exit::Done`] if all robots use the latest list.
+pub(super) fn exit(robots: &[Pushed]) -> Exit {
+    if robots.iter().all(|robot| robot.problem.is_none()) { Exit::Done } else { Exit::Failed }
 }

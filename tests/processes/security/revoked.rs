@@ -102,12 +102,12 @@ fn a_robot_without_a_list_or_that_cannot_store_one_is_reported() {
     let session = &site.session;
     let none = session.run(&["keys", "push", "--keys", "others"]);
     none.says(2, &["contains no authority"]);
-    // The folder of the list does not permit to replace it.
     let folder = session.path("fixed");
     std::fs::create_dir(&folder).unwrap();
     std::fs::copy(session.path("keys/revoked.pem"), folder.join("revoked.pem")).unwrap();
     let (address, _robot) = site.another(0, "fixed/revoked.pem");
-    std::fs::create_dir(folder.join("revoked.part")).unwrap();
+    // The folder in which the robot has to store the list has gone.
+    std::fs::rename(&folder, session.path("elsewhere")).unwrap();
     session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &[]);
     session.file(
         "fleet.yaml",
@@ -115,7 +115,41 @@ fn a_robot_without_a_list_or_that_cannot_store_one_is_reported() {
             "identity: keys/operators/anna.pem\nrobots:\n  r0: {{init: arm.yaml, address: '{address}'}}\n"
         ),
     );
-    session.run(&["keys", "push"]).says(1, &["r0: uses the older list", "cannot write fixed/revoked.pem"]);
+    session.run(&["keys", "push"]).says(1, &["r0: still uses list", "cannot write fixed/revoked.pem"]);
     session.file("fleet.yaml", "robots:\n  r0: {init: arm.yaml, address: sim}\n");
     session.run(&["keys", "push"]).says(2, &["no robot has a tls:// or hmac:// address"]);
+}
+
+#[test]
+fn a_key_is_not_revoked_if_the_named_fleet_cannot_be_read() {
+    let site = Site::new();
+    let session = &site.session;
+    let revoke = |fleet: &str| session.run(&["keys", "revoke", "--operator", "cleo", "--fleet", fleet]);
+    revoke("none.yaml").says(2, &["none.yaml"]);
+    session.file("open.yaml", "robots:\n  r0: {init: arm.yaml, address: sim}\n");
+    revoke("open.yaml").says(2, &["no robot has a tls:// or hmac:// address"]);
+    site.fleet(&site.addresses("tls"), "cleo");
+    session.run(&["fleet", "ping"]).says(0, &["r0"]);
+    site.fleet(&site.addresses("tls"), "anna");
+    let revoked =
+        session.run(&["keys", "revoke", "--operator", "cleo", "--fleet", "fleet.yaml", "--format", "json"]);
+    let json = revoked.json();
+    assert_eq!(
+        (revoked.code(), &json["name"], &json["revoked"]),
+        (0, &"operator cleo".into(), &1.into()),
+        "{json}"
+    );
+    assert!(json["robots"].as_array().unwrap().iter().all(|robot| robot["problem"].is_null()), "{json}");
+    site.fleet(&site.addresses("tls"), "cleo");
+    session.run(&["fleet", "ping"]).says(1, &["revoked"]);
+}
+
+#[test]
+fn a_robot_that_the_authority_does_not_know_does_not_keep_the_list_from_the_others() {
+    let site = Site::with("hmac");
+    let session = &site.session;
+    std::fs::remove_file(session.path("keys/secrets/r1.secret")).unwrap();
+    session
+        .run(&["keys", "push"])
+        .says(1, &["r0: uses the latest list", "r1.secret", "r2: uses the latest list"]);
 }
