@@ -140,7 +140,6 @@ impl Issued {
         let mut known: Vec<&str> = self.entries.iter().map(|entry| entry.name.as_str()).collect();
         known.sort_unstable();
         known.dedup();
-        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-        KeysError::Unknown { name: name.to_string(), known }
+        KeysError::unknown(name, &known)
     }
 }

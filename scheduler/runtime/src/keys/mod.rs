@@ -98,6 +98,13 @@ pub enum KeysError {
     Signing(#[from] rcgen::Error),
 }
 
+impl KeysError {
+    fn unknown(name: &Name, known: &[&str]) -> Self {
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        Self::Unknown { name: name.to_string(), known }
+    }
+}
+
 fn have_keys(names: &[Name]) -> String {
     have(names.iter().map(Name::to_string), "key")
 }
@@ -259,6 +266,11 @@ impl Authority {
         match protection {
             Protection::Open | Protection::Tls => files::read(&self.revoked()),
             Protection::Hmac => {
+                let known = self.robots_with_secret()?;
+                if !known.contains(robot) {
+                    let known: Vec<&str> = known.iter().map(RobotId::as_str).collect();
+                    return Err(KeysError::unknown(&Name::Robot(robot.clone()), &known));
+                }
                 let secret = Secret::read(&files::secret_path(&self.folder, robot))?;
                 Ok(secret.proven_list(&files::read(&self.revoked_serials())?))
             }
