@@ -16,7 +16,7 @@ pub const ROBOT_PARAMETERS_MAX: usize = 262_144;
 /// Largest number of encodings that a robot lists (our limit, not in the paper).
 pub const ENCODINGS_MAX: usize = 64;
 /// Largest number of steps in one script (our limit, not in the paper). A line of [`LINE_BYTES_MAX`] bytes can contain about as many
-/// steps. The limit also applies to frames, whose steps are shorter, so that scripts from frames take no more memory.
+/// steps. Frames have the same limit, although their steps are shorter, so that scripts from frames do not need more memory.
 pub const SCRIPT_STEPS_MAX: usize = 262_144;
 /// Largest number of requests in one inquiry, and of devices in one inquiry (our limit, not in the paper). It equals the maximum number
 /// of devices of a robot.

@@ -114,4 +114,6 @@ pub struct Proof {
     pub name: Label,
     /// The peer's permissions.
     pub roles: Roles,
+    /// Serial number of the key with which the peer has proven its name. `None` if unknown.
+    pub serial: Option<Label>,
 }

@@ -14,6 +14,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, oneshot, watch};
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use urrcp::Label;
 use urrcp::{ControlType, Device, InitializationBlock, KnownScripts, LINE_BYTES_MAX, Message, RobotId};
 
 use self::body::Body;
@@ -351,6 +353,12 @@ impl HostHandle {
     /// Returns a receiver that shows the current or last owner of a robot. `None` if the robot does not exist.
     pub(crate) fn owner(&self, robot: usize) -> Option<watch::Receiver<Option<Claimant>>> {
         self.owners.get(robot).cloned()
+    }
+
+    /// Ends the commands and closes the links of the peers that have proven their names with this key.
+    #[cfg(any(feature = "sealed", feature = "tls"))]
+    pub(crate) fn bar(&self, robot: usize, serial: Label, why: String) {
+        let _stopped = self.orders.send(Order::Bar { robot, serial, why });
     }
 
     /// Makes a robot check whether the session that owns it is over. Returns once the robot has checked, or once the host has stopped.

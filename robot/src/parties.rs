@@ -3,7 +3,7 @@
 //! A session is one run of a scheduler. It may use several links, in sequence or at the same time: leases, responses and stops belong to
 //! the session, not to a link. A link that names no session is a party of its own.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use urrcp::{Label, Robot, SessionId, Span, Timestamp};
 
@@ -31,6 +31,8 @@ pub(crate) struct Parties {
     of_session: HashMap<Claimant, LinkId>,
     /// The proven identity of the peer on each link.
     proof_of: BTreeMap<LinkId, Proof>,
+    /// For each party, the serial number of the key with which it sent its last message. Kept after its links have broken.
+    key_of: HashMap<LinkId, Label>,
     /// For each party, the link on which its last message arrived.
     route: BTreeMap<LinkId, LinkId>,
     owner: Option<(Claimant, LinkId)>,
@@ -63,6 +65,24 @@ impl Parties {
     /// Returns the proven identity of a link's peer. `None` if no proof is required.
     pub(crate) fn proof(&self, link: LinkId) -> Option<&Proof> {
         self.proof_of.get(&link)
+    }
+
+    /// Records the key with which a party has sent a message on this link.
+    pub(crate) fn used_key(&mut self, party: LinkId, link: LinkId) {
+        let serial = self.proof_of.get(&link).and_then(|proof| proof.serial.as_ref());
+        if let Some(serial) = serial.filter(|serial| self.key_of.get(&party) != Some(serial)) {
+            self.key_of.insert(party, serial.clone());
+        }
+    }
+
+    /// Whether a party sent its last message with this key.
+    pub(crate) fn has_key(&self, party: LinkId, serial: &Label) -> bool {
+        self.key_of.get(&party) == Some(serial)
+    }
+
+    /// Forgets the keys of all parties except these.
+    pub(crate) fn keep_keys(&mut self, parties: &HashSet<LinkId>) {
+        self.key_of.retain(|party, _| parties.contains(party));
     }
 
     fn name(&self, link: LinkId) -> Option<&Label> {
@@ -187,7 +207,8 @@ impl Parties {
     /// Returns how many entries about parties are stored in all.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
-        self.of_link.len() + self.of_session.len() + self.route.len() + self.proof_of.len()
+        let keys = self.proof_of.len() + self.key_of.len();
+        self.of_link.len() + self.of_session.len() + self.route.len() + keys
     }
 
     fn forget_oldest(&mut self) {
@@ -219,7 +240,7 @@ mod tests {
     }
 
     fn proof(name: &str) -> Proof {
-        Proof { name: name.parse().unwrap(), roles: Roles::default() }
+        Proof { name: name.parse().unwrap(), roles: Roles::default(), serial: None }
     }
 
     #[test]

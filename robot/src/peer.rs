@@ -130,7 +130,12 @@ mod tests {
         let peer = Peer::at("192.0.2.7:1000".parse().unwrap());
         assert_eq!(peer.to_string(), "192.0.2.7:1000");
         assert_eq!(
-            peer.with_proof(Proof { name: Label::new("desk").unwrap(), roles: Roles::default() }).to_string(),
+            peer.with_proof(Proof {
+                name: Label::new("desk").unwrap(),
+                roles: Roles::default(),
+                serial: None
+            })
+            .to_string(),
             "`desk` at 192.0.2.7:1000"
         );
     }

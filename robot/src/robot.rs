@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use urrcp::{
     AvailabilityResponse, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
-    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, SessionId, Status,
+    DecodeError, DeviceId, ErrorCode, InitializationBlock, Label, Message, RequestId, SessionId, Status,
     StatusValue, Timestamp,
 };
 
@@ -38,9 +38,13 @@ pub enum Input {
     Hashed(ControlRequest, ContentHash),
     /// The peer of the link has proven its identity. Precedes the peer's messages.
     Proven(Proof),
-    /// The key of the peer is no longer valid, for this reason. The commands of the peer's session end, and its devices come to rest. The
-    /// host then closes the link.
-    Barred(String),
+    /// A key is no longer valid. The commands of the parties that used it end, and their devices come to rest. The link does not matter.
+    Barred {
+        /// Serial number of the key.
+        serial: Label,
+        /// Reason why the key is no longer valid, as a sentence without a full stop.
+        why: String,
+    },
     /// A line that is not a valid message. The robot answers it, but it renews no lease: noise on a line does not prove that the server
     /// works.
     Undecodable(DecodeError),
@@ -278,7 +282,7 @@ impl Robot {
         match input {
             Input::LinkDown => self.parties.link_down(link),
             Input::Proven(proof) => self.parties.proven(link, proof),
-            Input::Barred(why) => self.bar(now, link, &why, out),
+            Input::Barred { serial, why } => self.bar(now, &serial, why, out),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
                 if matches!(message, Message::Inquiry(_)) {
@@ -308,6 +312,7 @@ impl Robot {
             Some(session) => self.parties.join(link, session),
             None => self.parties.party(link),
         };
+        self.parties.used_key(party, link);
         if self.heard.heard(party, now) {
             self.forget_who_holds_nothing();
         }
@@ -340,6 +345,7 @@ impl Robot {
         let holding = self.devices.iter().flat_map(DeviceMachine::parties);
         let holding = holding.chain(self.parties.last_owner()).collect();
         self.heard.keep(&holding);
+        self.parties.keep_keys(&holding);
     }
 
     fn handle_message(&mut self, now: Now, link: LinkId, message: Message, out: &mut Vec<Output>) {
@@ -395,8 +401,12 @@ impl Robot {
 
     /// Ends all waiting and running commands of a device, and brings the device to rest.
     fn stop(&mut self, now: Now, index: usize, why: &str, rest: Rest, out: &mut Vec<Output>) {
-        let error = ControlError::new(ErrorCode::Cancelled, why);
-        self.devices[index].stop(now, &error, rest, &mut self.effects);
+        self.stop_with(now, index, &ControlError::new(ErrorCode::Cancelled, why), rest, out);
+    }
+
+    /// Like [`Robot::stop`], with the error that the ended commands report.
+    fn stop_with(&mut self, now: Now, index: usize, error: &ControlError, rest: Rest, out: &mut Vec<Output>) {
+        self.devices[index].stop(now, error, rest, &mut self.effects);
         self.settle(now, index, out);
     }
 

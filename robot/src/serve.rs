@@ -5,7 +5,6 @@ mod described;
 mod door;
 mod places;
 
-use std::future::pending;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -65,9 +64,7 @@ pub async fn serve_behind(
 pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot: usize) -> io::Result<()> {
     let patience = Patience::default();
     let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
-    let strangers = host.strangers();
-    let shared =
-        Shared { host: host.clone(), described: Arc::default(), strangers, patience, door: Door::Open };
+    let shared = Shared::new(host.clone(), patience, Door::Open);
     loop {
         let stream = listener.accept().await?;
         let peer = Peer::through(&format!("zenoh:{}", stream.name()));
@@ -80,7 +77,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
         // One task per connection, as with TCP.
         tokio::spawn(async move {
             let ends = stream.split();
-            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared, pending()).await {
+            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
         });
@@ -105,53 +102,59 @@ async fn serve_with(
     door: Door,
 ) -> io::Result<()> {
     let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
-    let strangers = host.strangers();
-    let shared =
-        Shared { host: host.clone(), described: Arc::default(), strangers, patience, door: door.clone() };
-    loop {
-        let (stream, address) = accept(&listener).await?;
-        let peer = Peer::at(address);
-        let ticket = ticket(&places, &peer).await;
-        if host.has_stopped() {
-            return Ok(());
-        }
-        let (shared, door) = (shared.clone(), door.clone());
-        // Each connection has its own task, so that a slow or broken peer harms only itself. The task ends when either side closes the
-        // connection, or when another connection needs its place.
-        tokio::spawn(async move {
-            if let Err(error) = admit(stream, door, peer.clone(), robot, ticket, shared).await {
-                tracing::debug!(%peer, "connection ended: {error}");
+    let shared = Shared::new(host.clone(), patience, door);
+    let accepting = async {
+        loop {
+            let (stream, address) = accept(&listener).await?;
+            let peer = Peer::at(address);
+            let ticket = ticket(&places, &peer).await;
+            if host.has_stopped() {
+                return Ok(());
             }
-        });
+            let shared = shared.clone();
+            // Each connection has its own task, so that a slow or broken peer harms only itself. The task ends when either side closes the
+            // connection, or when another connection needs its place.
+            tokio::spawn(async move {
+                if let Err(error) = admit(stream, peer.clone(), robot, ticket, shared).await {
+                    tracing::debug!(%peer, "connection ended: {error}");
+                }
+            });
+        }
+    };
+    #[cfg(any(feature = "sealed", feature = "tls"))]
+    if !matches!(shared.door, Door::Open) {
+        return tokio::select! {
+            ended = accepting => ended,
+            () = shared.keys.watch(&shared.door, &host, robot) => Ok(()),
+        };
     }
+    accepting.await
 }
 
 /// Carries a connection. If the door requires it, the peer must first prove its identity.
 async fn admit(
     stream: TcpStream,
-    door: Door,
     peer: Peer,
     robot: usize,
     ticket: Ticket,
     shared: Shared,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
-    match &door {
+    match shared.door.clone() {
         Door::Open => {
             let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-            carry(stream.into_split(), peer, link, ticket, shared, pending()).await
+            carry(stream.into_split(), peer, link, ticket, shared).await
         }
         #[cfg(feature = "tls")]
-        Door::Tls(guard) => carry_proven(guard.accept(stream), &door, peer, robot, ticket, shared).await,
+        Door::Tls(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
         #[cfg(feature = "sealed")]
-        Door::Sealed(guard) => carry_proven(guard.accept(stream), &door, peer, robot, ticket, shared).await,
+        Door::Sealed(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
     }
 }
 
 #[cfg(any(feature = "sealed", feature = "tls"))]
 async fn carry_proven<S, K>(
     proving: impl Future<Output = io::Result<(S, K)>>,
-    door: &Door,
     peer: Peer,
     robot: usize,
     ticket: Ticket,
@@ -161,6 +164,10 @@ where
     S: AsyncRead + AsyncWrite,
     K: Into<Key>,
 {
+    let proving = async {
+        shared.door.refresh().await;
+        proving.await
+    };
     let proven = tokio::select! {
         proven = tokio::time::timeout(shared.patience.first_message, proving) => {
             proven.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
@@ -169,22 +176,19 @@ where
     };
     let host = shared.host.clone();
     let refusals = host.refusals();
-    let proven = proven.and_then(|(stream, key)| {
-        let key: Key = key.into();
-        let proof = key.proof.clone().ok_or_else(|| io::Error::other("the name is too long"))?;
-        Ok((stream, key, proof))
-    });
-    let (stream, key, proof) = proven.inspect_err(|_| {
+    let proven = match proven {
+        Ok((stream, key)) => shared.keys.admit(&shared.door, key.into()).await.map(|proof| (stream, proof)),
+        Err(error) => Err(error),
+    };
+    let (stream, proof) = proven.inspect_err(|_| {
         refusals.note(Reason::NotProven, &peer);
     })?;
-    let peer = peer.with_proof(proof);
+    let peer = peer.with_proof(proof.clone());
     let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-    let invalid = async {
-        let invalid = door.until_invalid(&key).await;
-        refusals.note(Reason::KeyInvalid, &peer);
-        invalid.to_string()
-    };
-    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared, invalid).await;
+    if !shared.keys.contains(&proof) {
+        return Err(io::Error::other("the key has become invalid"));
+    }
+    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared).await;
     carried.inspect_err(|error| {
         if is_altered(error) {
             refusals.note(Reason::Altered, &peer);

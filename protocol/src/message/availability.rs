@@ -24,8 +24,8 @@ pub struct AvailabilityRequest {
     #[serde(default, deserialize_with = "flag", skip_serializing_if = "is_off")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<bool>"))]
     pub seize: bool,
-    /// A list of revoked keys that the robot should use if it is newer than the robot's own (our extension): the text of the file that the
-    /// authority made. Only for robots that require a proven identity.
+    /// The text of a list of revoked keys, as in the file that the authority made (our extension). The robot should use the list if it is
+    /// newer than its own. Only for robots that require a proven identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revocation_list: Option<String>,
 }
@@ -40,8 +40,8 @@ const fn is_off(flag: &bool) -> bool {
     !*flag
 }
 
-/// Step 2 of the protocol: the robot's response to an availability request. Its three timestamps and its arrival time determine clock
-/// offset and delay as in NTP (RFC 5905, section 8).
+/// Step 2 of the protocol: the robot's response to an availability request. Its three timestamps and its arrival time determine the clock
+/// offset and the delay, as in NTP (RFC 5905, section 8).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityResponse {
@@ -52,12 +52,12 @@ pub struct AvailabilityResponse {
     pub receive_timestamp: Timestamp<Robot>,
     /// When the robot sent this response, T3.
     pub timestamp: Timestamp<Robot>,
-    /// `OK`, or `Failed` with an error. On `Failed` the mission stops.
+    /// `OK`, or `Failed` with an error. If it is `Failed`, the mission stops.
     pub status: Status,
     /// Why the status is `Failed`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
-    /// The list of revoked keys that the robot uses (our extension). `None` if it has none.
+    /// The list of revoked keys that the robot uses (our extension). `None` if the robot has no list.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub revocation_list: Option<RevocationList>,
 }
@@ -66,9 +66,9 @@ pub struct AvailabilityResponse {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RevocationList {
-    /// Number of the list. A later list has a larger number.
+    /// Number of the list. A newer list has a larger number.
     pub number: u64,
-    /// Why the robot did not accept the list of the last request on this connection that contained one.
+    /// The reason why the robot did not accept the last list that it received on this connection.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }

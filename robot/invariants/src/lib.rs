@@ -112,7 +112,8 @@ impl Bench {
         let block: InitializationBlock = serde_json::from_str(BLOCK).map_err(|e| Violation(e.to_string()))?;
         let mut robot = Robot::new(block.clone());
         let name = Label::new("operator").map_err(|e| Violation(e.to_string()))?;
-        let proof = Proof { name, roles: [Role::Drive, Role::Seize].into_iter().collect() };
+        let roles = [Role::Drive, Role::Seize].into_iter().collect();
+        let proof = Proof { name, roles, serial: None };
         robot.handle(Timestamp::from_nanos(BEGIN), OPERATOR, Input::Proven(proof), &mut Vec::new());
         Ok(Self {
             judge: Judge::new(&block),

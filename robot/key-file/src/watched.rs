@@ -5,10 +5,10 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::replace;
+use super::{read_regular, replace};
 
-/// Identifies a version of a file. The time of the last status change (`ctime`) cannot be set by programs, so even a file that keeps its
-/// modification time gets another stamp when its content changes.
+/// Identifies a version of a file. Programs cannot set the time of the last status change (`ctime`). Therefore a change of the content
+/// changes the stamp even if the modification time remains the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stamp {
     device: u64,
@@ -38,7 +38,7 @@ pub trait Versioned {
     fn is_older_than(&self, other: &Self) -> bool;
 }
 
-/// The content of a file, which is read again when the file changes. A version that cannot be used, or that is older, does not replace the
+/// The content of a file. [`Watched::refresh`] reads the file again if it has changed. An older or unusable version does not replace the
 /// version in use.
 #[derive(Debug)]
 pub struct Watched<T> {
@@ -59,7 +59,7 @@ impl<T: Versioned> Watched<T> {
     /// # Errors
     /// Those of `read`.
     pub fn new<E>(path: &Path, read: impl FnOnce(&Path) -> Result<T, E>) -> Result<Self, E> {
-        // The stamp is taken first: if the file changes meanwhile, it is read again.
+        // The stamp is taken before the file is read: if the file changes in between, `refresh` reads it again.
         let seen = Stamp::of(path);
         let content = Arc::new(read(path)?);
         Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }) })
@@ -75,7 +75,7 @@ impl<T: Versioned> Watched<T> {
         Arc::clone(&self.lock().content)
     }
 
-    /// Returns the version in use, after reading the file if it has changed. Logs once why a version of the file is not used.
+    /// Reads the file again if it has changed, and returns the version in use. Logs the reason once if a version is not used.
     pub fn refresh<E: Display>(&self, read: impl FnOnce(&Path) -> Result<T, E>) -> Arc<T> {
         let mut latest = self.lock();
         let stamp = Stamp::of(&self.path);
@@ -95,7 +95,7 @@ impl<T: Versioned> Watched<T> {
         Arc::clone(&latest.content)
     }
 
-    /// Stores a version in the file and uses it, unless it is not newer than the version in use.
+    /// Stores a version in the file and uses it if it is newer than the version in use. Does nothing if both are equally new.
     ///
     /// # Errors
     /// A sentence with the reason: the version is older than the one in use, or the file cannot be written.
@@ -104,10 +104,13 @@ impl<T: Versioned> Watched<T> {
         if content.is_older_than(&latest.content) {
             return Err("it is older than the version in use".to_owned());
         }
-        if latest.content.is_older_than(&content) {
+        // A version that is as new is stored too if the file does not contain it, for example because it was replaced by an older one.
+        let stored = read_regular(&self.path, u64::try_from(text.len()).unwrap_or(u64::MAX));
+        let is_stored = stored.is_ok_and(|stored| stored == text.as_bytes());
+        if !is_stored {
             replace(&self.path, text.as_bytes(), 0o644)
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
-            // `refresh` reads the file again, in case another process has replaced it meanwhile.
+            // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
             latest.content = Arc::new(content);
         }
@@ -166,7 +169,7 @@ mod tests {
         };
         assert_eq!(refresh(), (1, 0));
         for (text, expected) in [("2", (2, 1)), ("x", (2, 2)), ("1", (2, 3)), ("3", (3, 4))] {
-            // Each version is as long and as old as the one before.
+            // Each version has the same size and modification time as the previous one.
             std::fs::write(&file.0, text).unwrap();
             std::fs::File::options().write(true).open(&file.0).unwrap().set_modified(modified).unwrap();
             assert_eq!(refresh(), expected, "{text}");
@@ -184,7 +187,10 @@ mod tests {
         let watched = Watched::new(&file.0, read).unwrap();
         let stored = || std::fs::read_to_string(&file.0).unwrap();
         watched.replace("5", 5).unwrap();
-        watched.replace("not stored", 5).unwrap();
+        std::fs::write(&file.0, "2").unwrap();
+        assert_eq!(*watched.refresh(read), 5);
+        watched.replace("5", 5).unwrap();
+        assert_eq!(stored(), "5", "restored");
         assert_eq!(watched.replace("4", 4).unwrap_err(), "it is older than the version in use");
         assert_eq!((stored().as_str(), *watched.latest(), *watched.refresh(read)), ("5", 5, 5));
         let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, String>(1)).unwrap();

@@ -45,11 +45,11 @@ pub struct Claim {
 pub struct NoClaim;
 
 impl Claim {
-    /// Returns the operator's identity in the form that links use. `None` if the name is too long for the protocol.
+    /// Returns the operator's identity in the form that links use. `None` if the name or the serial number is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(format!("operator {}", self.name)).ok()?;
-        Some(Proof { name, roles: self.roles.clone() })
+        Some(Proof { name, roles: self.roles.clone(), serial: Some(Label::new(&self.serial).ok()?) })
     }
 }
 

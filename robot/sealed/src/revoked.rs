@@ -1,4 +1,4 @@
-//! Passes that are invalid although they have not expired. The authority lists their serial numbers.
+//! Revoked passes, which are invalid although they have not expired. The authority lists their serial numbers.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -8,21 +8,24 @@ use downbeat_key_file::{KeyFileError, Versioned, Watched, read_regular};
 
 /// Maximum size of a list in bytes. A serial number takes about 60 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
+/// Last line of a list. A list without it is incomplete.
+const END: &str = "# end\n";
 /// Text before the number of a list.
 const NUMBER: &str = "# number ";
 
-/// A file that lists revoked passes, one serial number per line. Lines that start with `#` are ignored, except `# number N`: a list with a
-/// smaller number does not replace this one. After the file is replaced, the new list applies within a second, also to open connections.
+/// A file that lists revoked passes, one serial number per line. Lines that start with `#` are ignored, except `# number N`, which states
+/// the number of the list: a list with a smaller number does not replace this one. If the file is replaced, the new list applies within
+/// a second, even to open connections.
 #[derive(Clone, Debug)]
 pub struct RevokedSerials {
     path: PathBuf,
 }
 
 impl RevokedSerials {
-    /// Returns the list that is in this file.
+    /// Returns the list in this file.
     ///
     /// # Errors
-    /// The file cannot be read now, or is not a list of serial numbers.
+    /// The file cannot be read at present, or is not a list of serial numbers.
     pub fn in_file(path: &Path) -> Result<Self, KeyFileError> {
         Serials::read(path)?;
         Ok(Self { path: path.into() })
@@ -50,23 +53,29 @@ impl Serials {
         Self::of_text(&String::from_utf8_lossy(&text), path)
     }
 
-    /// Reads a list from its text. `path` is the name of the file in errors.
+    /// Parses the text of a list. Errors name `path` as its file.
     fn of_text(text: &str, path: &Path) -> Result<Self, KeyFileError> {
+        let unreadable = |reason: &str| {
+            let error = std::io::Error::other(reason.to_owned());
+            Err(KeyFileError::Unreadable { path: path.into(), error })
+        };
+        // A list that was cut off would admit operators that it no longer contains.
+        let Some(text) = text.strip_suffix(END) else { return unreadable("it does not end with `# end`") };
         let number = text.lines().find_map(|line| line.strip_prefix(NUMBER)?.parse().ok());
         let lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
         let is_serial =
             |line: &str| line.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f' | b':'));
-        let serial = |line: &str| {
-            if is_serial(line) {
-                return Ok(line.to_owned());
+        let mut revoked = BTreeSet::new();
+        for line in lines {
+            if !is_serial(line) {
+                return unreadable("it is not a list of revoked passes such as revoked.serials");
             }
-            let error = std::io::Error::other("it is not a list of revoked passes such as revoked.serials");
-            Err(KeyFileError::Unreadable { path: path.into(), error })
-        };
-        Ok(Self { number: number.unwrap_or_default(), revoked: lines.map(serial).collect::<Result<_, _>>()? })
+            revoked.insert(line.to_owned());
+        }
+        Ok(Self { number: number.unwrap_or_default(), revoked })
     }
 
-    /// Returns the number of the list; 0 if it has none. A later list has a larger number.
+    /// Returns the number of the list; 0 if it has none. A newer list has a larger number.
     #[must_use]
     pub const fn number(&self) -> u64 {
         self.number
@@ -96,7 +105,7 @@ impl CurrentSerials {
         Ok(Self { file: Watched::new(&revoked.path, Serials::read)? })
     }
 
-    /// Stores this list in the file and uses it, unless the list in use is as new.
+    /// Stores this list in the file and uses it if it is newer than the list in use. Does nothing if both are equally new.
     pub(super) fn replace(&self, text: &str) -> Result<(), String> {
         let list = Serials::of_text(text, self.file.path()).map_err(|error| error.to_string())?;
         self.file.replace(text, list)
@@ -107,7 +116,7 @@ impl CurrentSerials {
         self.file.latest()
     }
 
-    /// Returns the list in use, after reading the file if it has changed.
+    /// Reads the file again if it has changed, and returns the list in use.
     pub(super) fn list(&self) -> Arc<Serials> {
         self.file.refresh(Serials::read)
     }

@@ -92,15 +92,15 @@ fn the_list_of_revoked_passes_is_read_for_each_connection_and_a_damaged_one_open
     let folder = std::env::temp_dir().join(format!("downbeat-sealed-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("revoked.serials");
-    std::fs::write(&path, "# none\n").unwrap();
+    std::fs::write(&path, "# none\n# end\n").unwrap();
     let secret = Secret::generate().unwrap();
     let list = RevokedSerials::in_file(&path).unwrap();
     let guard = Guard::new("cf1".parse().unwrap(), secret.clone(), Some(&list)).unwrap();
     let anna = held(&secret, "cf1", claim(&[Role::Drive]));
     assert!(meet(&guard, &anna).0.is_ok());
-    std::fs::write(&path, "# one\n0a:1b\n").unwrap();
+    std::fs::write(&path, "# one\n0a:1b\n# end\n").unwrap();
     refused(&guard, &anna, &NotSealed::Refused(Refused::Revoked));
-    for damaged in ["not a list\n", "-----BEGIN X509 CRL-----\n"] {
+    for damaged in ["not a list\n# end\n", "# one\n", "# one\n0a:", "-----BEGIN X509 CRL-----\n"] {
         std::fs::write(&path, damaged).unwrap();
         refused(&guard, &anna, &NotSealed::Refused(Refused::Revoked));
         assert!(RevokedSerials::in_file(&path).is_err());
@@ -400,12 +400,12 @@ fn a_pass_counts_up_to_the_second_in_which_it_expires() {
 #[test]
 fn a_list_that_a_peer_sends_is_stored_only_with_the_code_of_the_authority() {
     let path = std::env::temp_dir().join(format!("downbeat-sent-{}", std::process::id()));
-    std::fs::write(&path, "# number 5\n").unwrap();
+    std::fs::write(&path, "# number 5\n# end\n").unwrap();
     let secret = Secret::generate().unwrap();
     let list = RevokedSerials::in_file(&path).unwrap();
     let guard = Guard::new("cf1".parse().unwrap(), secret.clone(), Some(&list)).unwrap();
     let stored = || std::fs::read_to_string(&path).unwrap();
-    let later = "# number 6\n0a:1b\n";
+    let later = "# number 6\n0a:1b\n# end\n";
     let proven = secret.proven_list(later);
     let altered = proven.replace("0a:1b", "0a:1c");
     let other = Secret::generate().unwrap().proven_list(later);
@@ -414,11 +414,11 @@ fn a_list_that_a_peer_sends_is_stored_only_with_the_code_of_the_authority() {
         let error = guard.replace_list(refused).unwrap_err();
         assert_eq!(
             (error.as_str(), stored().as_str()),
-            ("the list is not for this robot, or was altered", "# number 5\n")
+            ("the list is not for this robot, or was altered", "# number 5\n# end\n")
         );
     }
     assert_eq!(
-        guard.replace_list(&secret.proven_list("# number 4\n")).unwrap_err(),
+        guard.replace_list(&secret.proven_list("# number 4\n# end\n")).unwrap_err(),
         "it is older than the version in use"
     );
     guard.replace_list(&proven).unwrap();

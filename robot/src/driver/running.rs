@@ -184,7 +184,7 @@ const ENDS_WITHIN: Duration = Duration::from_millis(200);
 /// Maximum number of the program's answers that have not been read yet.
 const LAST_WORDS_MAX: usize = 8;
 
-/// Maximum length of a line that an error message shows in full. Of a longer line, it shows only the first word.
+/// Maximum length in bytes of a line that an error message shows in full. If a line is longer, the message shows only its first word.
 const SHOWN_MAX: usize = 200;
 
 fn seconds(wait: Duration) -> String {

@@ -6,7 +6,7 @@ use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 
 use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
-use urrcp::{ErrorCode, Message, Span, Timestamp};
+use urrcp::{ErrorCode, Label, Message, Span, Timestamp};
 
 use super::HostError;
 use super::body::Body;
@@ -18,6 +18,7 @@ use crate::figures::Figures;
 use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
+use crate::peer::Peer;
 use crate::refusals::{Reason, Refusals};
 use crate::robot::Input;
 use downbeat_realtime::{PreciseWait, Woken};
@@ -39,6 +40,12 @@ pub(super) enum Order {
         link: LinkId,
         input: Input,
         permit: Option<OwnedSemaphorePermit>,
+    },
+    /// A key is no longer valid: the commands of the peers that used it end, and their links are closed.
+    Bar {
+        robot: usize,
+        serial: Label,
+        why: String,
     },
     /// Makes a robot check whether its session is over. Once the permit is released, [`HostHandle::owner`] shows the result.
     Look {
@@ -180,16 +187,16 @@ impl Executor {
             Order::Input { robot, link, input, permit } => {
                 if matches!(input, Input::LinkDown) {
                     self.forget(link);
+                } else if !self.peers.contains_key(&link) {
+                    // The link was closed while the input was on its way.
+                    return;
                 }
-                let is_barred = matches!(input, Input::Barred(_));
                 let now = self.clock.now();
                 self.robots[robot].receive(now, link, input);
                 self.advance(robot);
-                if is_barred && let Some(outbox) = self.forget(link) {
-                    outbox.close();
-                }
                 drop(permit);
             }
+            Order::Bar { robot, serial, why } => self.bar(robot, &serial, why),
             Order::Look { robot, permit } => {
                 self.robots[robot].look(self.clock.now());
                 self.advance(robot);
@@ -201,6 +208,23 @@ impl Executor {
             }
             Order::Beat { answer } => drop(answer.send(())),
             Order::Stop => {}
+        }
+    }
+
+    /// Ends the commands and closes the links of the peers whose key is no longer valid.
+    fn bar(&mut self, robot: usize, serial: &Label, why: String) {
+        let now = self.clock.now();
+        // The key may have been used on links that no longer exist.
+        let no_link = LinkId(u64::MAX);
+        self.robots[robot].receive(now, no_link, Input::Barred { serial: serial.clone(), why });
+        self.advance(robot);
+        let has_key = |peer: &Peer| peer.proof().and_then(|proof| proof.serial.as_ref()) == Some(serial);
+        let links = self.peers.iter().filter(|(_, (of, outbox))| *of == robot && has_key(outbox.peer()));
+        for link in links.map(|(link, _)| *link).collect::<Vec<_>>() {
+            if let Some(outbox) = self.forget(link) {
+                self.told.refusals.note(Reason::KeyInvalid, outbox.peer());
+                outbox.close();
+            }
         }
     }
 

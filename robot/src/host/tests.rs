@@ -250,6 +250,7 @@ fn proof(name: &str) -> urrcp::Proof {
     urrcp::Proof {
         name: urrcp::Label::new(name).unwrap(),
         roles: [urrcp::Role::Observe, urrcp::Role::Drive].into_iter().collect(),
+        serial: None,
     }
 }
 

@@ -213,7 +213,7 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Records the result of a reading that the hardware was asked for. Ignores the result if the reading has already expired.
+    /// Records the result of a reading that was requested from the hardware. Ignores the result if the reading has already expired.
     pub fn reading_came(
         &mut self,
         now: Now,

@@ -1,6 +1,6 @@
-//! Losing the robot: an operator with the role `seize` takes it from the session that owns it, or the owner's key becomes invalid.
+//! How a session loses the robot: an operator with the role `seize` takes it, or the key of the session's operator becomes invalid.
 
-use urrcp::SessionId;
+use urrcp::{ControlError, ErrorCode, Label, SessionId};
 
 use super::control::Owner;
 use super::{Now, Output, Robot};
@@ -8,11 +8,11 @@ use crate::device::{DeviceMachine, Rest};
 use crate::ids::LinkId;
 
 impl Robot {
-    /// Takes the robot for this session, whose peer is permitted to seize. First, the commands of other sessions end and every device
-    /// comes to rest; the response follows.
+    /// Takes the robot for this session, whose peer has permission to seize it. Before the robot responds, the commands of other sessions
+    /// end, and every device begins to come to rest.
     ///
-    /// Nothing changes if the robot is free or belongs to the session. Nothing changes either if its hardware is away: the robot holds no
-    /// command, and its last values may still be on the way to the hardware.
+    /// Changes nothing if the robot is free or already belongs to the session. Changes nothing either if its hardware is away: the robot
+    /// then holds no commands, and its last values may still be on their way to the hardware.
     pub(super) fn seize(&mut self, now: Now, link: LinkId, session: &SessionId, out: &mut Vec<Output>) {
         let Some(by) = self.parties.proof(link).map(|proof| proof.name.clone()) else { return };
         let holds = || !self.devices.iter().all(DeviceMachine::is_idle);
@@ -37,19 +37,24 @@ impl Robot {
         let claimant = self.parties.claimant(link, session);
         self.parties.seize(claimant, self.parties.party(link), by);
     }
-    /// Ends the commands of a peer whose key is no longer valid, and brings their devices to rest. If the peer's session owns the robot, all
-    /// devices come to rest, because the session may have left some moving, and the robot is free.
-    pub(super) fn bar(&mut self, now: Now, link: LinkId, why: &str, out: &mut Vec<Output>) {
-        let party = self.parties.party(link);
-        let name = self.parties.proof(link).map_or_else(String::new, |proof| format!(" of {}", proof.name));
-        tracing::warn!(robot = %self.block.id, "the session{name} ends: {why}");
-        let is_owner = self.parties.last_owner() == Some(party);
+
+    /// Ends the commands of all parties with this key, which is no longer valid, even if their links have broken. Brings the devices of
+    /// these commands to rest. If one of the parties owns the robot, brings all devices to rest, because the owner may have left some of
+    /// them moving, and releases the robot.
+    pub(super) fn bar(&mut self, now: Now, serial: &Label, why: String, out: &mut Vec<Output>) {
+        let owner = self.parties.last_owner().filter(|party| self.parties.has_key(*party, serial));
+        let name = self.parties.owner_name().filter(|_| owner.is_some());
+        let name = name.map_or_else(String::new, |name| format!(" of {name}"));
+        tracing::warn!(robot = %self.block.id, %serial, "the commands{name} end: {why}");
+        let error = ControlError::new(ErrorCode::Forbidden, why);
         for index in 0..self.devices.len() {
-            if is_owner || self.devices[index].parties().any(|holder| holder == party) {
-                self.stop(now, index, why, Rest::InPlace, out);
+            let mut holders = self.devices[index].parties();
+            if owner.is_some() || holders.any(|party| self.parties.has_key(party, serial)) {
+                drop(holders);
+                self.stop_with(now, index, &error, Rest::InPlace, out);
             }
         }
-        if is_owner {
+        if owner.is_some() {
             self.parties.release();
         }
     }

@@ -18,6 +18,8 @@ use urrcp::{
 
 use super::described::Described;
 use super::door::Door;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use super::door::Keys;
 use super::places::Ticket;
 use crate::budget::{Budget, Strangers};
 use crate::hardware::Standing;
@@ -38,8 +40,8 @@ const READ_AT_ONCE: usize = 64 * 1024;
 const PAUSE_MAX: Duration = Duration::from_millis(100);
 /// Maximum time for which a peer may accept no bytes before it is disconnected.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
-/// Maximum time in which a peer whose key is no longer valid may take the robot's last messages.
-const LAST_WRITES: Duration = Duration::from_secs(1);
+/// Maximum time for which the end of a connection may wait for the peer.
+const CLOSE_WAIT: Duration = Duration::from_secs(1);
 /// Maximum number of bytes per write.
 const WRITE_BATCH: usize = 64 * 1024;
 
@@ -73,8 +75,24 @@ pub(super) struct Shared {
     pub(super) host: HostHandle,
     pub(super) described: Arc<Described>,
     pub(super) strangers: Arc<Strangers>,
-    pub(super) door: Door,
     pub(super) patience: Patience,
+    pub(super) door: Door,
+    #[cfg(any(feature = "sealed", feature = "tls"))]
+    pub(super) keys: Arc<Keys>,
+}
+
+impl Shared {
+    pub(super) fn new(host: HostHandle, patience: Patience, door: Door) -> Self {
+        Self {
+            described: Arc::default(),
+            strangers: host.strangers(),
+            #[cfg(any(feature = "sealed", feature = "tls"))]
+            keys: Arc::default(),
+            host,
+            patience,
+            door,
+        }
+    }
 }
 
 /// Carries both directions until either side closes the connection or another connection needs its place. While the peer does not read,
@@ -85,7 +103,6 @@ pub(super) async fn carry<R, W>(
     mut link: RobotLink,
     ticket: Ticket,
     shared: Shared,
-    invalid: impl Future<Output = String>,
 ) -> io::Result<()>
 where
     R: AsyncRead + Unpin,
@@ -126,23 +143,17 @@ where
             writing.flush().await?;
             being_written.store(false, Ordering::Relaxed);
             if !open {
-                return Ok(());
+                return writing.close().await;
             }
         }
     };
-    let sender = reading.robot.clone();
-    let mut writing = std::pin::pin!(writing);
-    let why = tokio::select! {
+    tokio::select! {
         biased;
-        () = hung_up => return Ok(()),
-        why = invalid => why,
+        () = hung_up => Ok(()),
         // Polled before `reading`, which checks at each poll whether a write is in progress.
-        ended = &mut writing => return ended,
-        ended = reading.run() => return ended,
-    };
-    sender.send(Input::Barred(why)).await;
-    // The robot closes the link after its last messages.
-    tokio::time::timeout(LAST_WRITES, writing).await.unwrap_or(Ok(()))
+        ended = writing => ended,
+        ended = reading.run() => ended,
+    }
 }
 
 /// Sends the robot's messages to a peer.
@@ -200,6 +211,11 @@ impl<W: AsyncWrite + Unpin> Writing<'_, W> {
         let described = Arc::clone(&self.shared.described);
         let bytes = described.bytes(block, encoding).await;
         self.write(&bytes).await
+    }
+
+    /// Ends the connection so that the peer can tell it from one that broke.
+    async fn close(&mut self) -> io::Result<()> {
+        tokio::time::timeout(CLOSE_WAIT, self.writer.shutdown()).await.unwrap_or(Ok(()))
     }
 
     async fn flush(&mut self) -> io::Result<()> {

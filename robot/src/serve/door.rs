@@ -1,11 +1,16 @@
 //! Decides which peers a robot admits, and whether an admitted peer may stay.
 
 #[cfg(any(feature = "sealed", feature = "tls"))]
-use std::fmt;
-use std::sync::Arc;
+use std::collections::BTreeMap;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use std::{fmt, io};
 
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use crate::host::HostHandle;
 #[cfg(feature = "tls")]
 use crate::tls;
 #[cfg(feature = "sealed")]
@@ -13,7 +18,7 @@ use downbeat_sealed as sealed;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use urrcp::Proof;
 
-/// Interval at which it is checked whether the key of an open connection is still valid.
+/// Interval at which a robot checks whether the key of an open connection is still valid.
 #[cfg(any(feature = "sealed", feature = "tls"))]
 const CHECK: Duration = Duration::from_secs(1);
 
@@ -33,7 +38,7 @@ pub enum Door {
 }
 
 impl Door {
-    /// Replaces the robot's list of revoked keys with this one, if it is later.
+    /// Replaces the robot's list of revoked keys with this one, if this one is newer.
     #[cfg_attr(not(any(feature = "sealed", feature = "tls")), expect(unused_variables))]
     pub(super) fn replace_list(&self, text: &str) -> Result<(), String> {
         match self {
@@ -103,14 +108,28 @@ impl fmt::Display for Invalid {
 
 #[cfg(any(feature = "sealed", feature = "tls"))]
 impl Door {
-    /// Returns why an admitted peer's key is no longer valid at `now`, in seconds since 1970, UTC.
+    /// Reads the list of revoked keys again if its file has changed. Runs on a separate thread, because a slow file system must not delay
+    /// other connections.
+    pub(super) async fn refresh(&self) {
+        let door = self.clone();
+        let _read = tokio::task::spawn_blocking(move || match door {
+            Self::Open => {}
+            #[cfg(feature = "tls")]
+            Self::Tls(guard) => drop(guard.list()),
+            #[cfg(feature = "sealed")]
+            Self::Sealed(guard) => drop(guard.list()),
+        })
+        .await;
+    }
+
+    /// Returns the reason why a key is not valid at `now` (in seconds since 1970, UTC). `None` if it is valid.
     fn invalid(&self, key: &Key, now: i64) -> Option<Invalid> {
         let is_revoked = match self {
             Self::Open => return None,
             #[cfg(feature = "tls")]
-            Self::Tls(guard) => guard.list().is_some_and(|list| list.contains(&key.serial)),
+            Self::Tls(guard) => guard.latest_list().is_some_and(|list| list.contains(&key.serial)),
             #[cfg(feature = "sealed")]
-            Self::Sealed(guard) => guard.list().is_some_and(|list| list.contains(&key.serial)),
+            Self::Sealed(guard) => guard.latest_list().is_some_and(|list| list.contains(&key.serial)),
         };
         if is_revoked {
             Some(Invalid::Revoked)
@@ -120,18 +139,55 @@ impl Door {
             None
         }
     }
+}
 
-    /// Waits until an admitted peer's key is no longer valid.
-    pub(super) async fn until_invalid(&self, key: &Key) -> Invalid {
-        loop {
+/// The keys with which peers of one robot have proven their identities. A key stays here after its connections have ended, because
+/// the robot may still hold commands of the key's owner.
+#[cfg(any(feature = "sealed", feature = "tls"))]
+#[derive(Debug, Default)]
+pub(super) struct Keys {
+    admitted: Mutex<BTreeMap<String, Key>>,
+}
+
+#[cfg(any(feature = "sealed", feature = "tls"))]
+impl Keys {
+    /// Admits a peer if its key is valid now, and returns the identity that the key proves. The key may have become invalid since the
+    /// peer began to prove its identity.
+    pub(super) async fn admit(&self, door: &Door, key: Key) -> io::Result<Proof> {
+        door.refresh().await;
+        if let Some(invalid) = door.invalid(&key, calendar()) {
+            return Err(io::Error::other(invalid.to_string()));
+        }
+        let proof = key.proof.clone().ok_or_else(|| io::Error::other("the name is too long"))?;
+        self.lock().insert(key.serial.clone(), key);
+        Ok(proof)
+    }
+
+    /// Whether a key was admitted and is still valid, as far as the robot has checked.
+    pub(super) fn contains(&self, proof: &Proof) -> bool {
+        proof.serial.as_ref().is_some_and(|serial| self.lock().contains_key(serial.as_str()))
+    }
+
+    /// Checks all keys once per second until the host stops. If a key has become invalid, ends the commands of the key's owner and closes
+    /// the connections that used the key.
+    pub(super) async fn watch(&self, door: &Door, host: &HostHandle, robot: usize) {
+        while !host.has_stopped() {
             tokio::time::sleep(CHECK).await;
-            let (door, own) = (self.clone(), key.clone());
-            // A slow file system must not delay other connections.
-            let checked = tokio::task::spawn_blocking(move || door.invalid(&own, calendar()));
-            if let Ok(Some(invalid)) = checked.await {
-                return invalid;
+            door.refresh().await;
+            let now = calendar();
+            let check = |key: &Key| Some((key.proof.as_ref()?.serial.clone()?, door.invalid(key, now)?));
+            let invalid: Vec<_> = self.lock().values().filter_map(check).collect();
+            for (serial, why) in invalid {
+                // The key is removed first, because a connection that has just been opened checks afterwards whether its key is still
+                // here.
+                self.lock().remove(serial.as_str());
+                host.bar(robot, serial, why.to_string());
             }
         }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Key>> {
+        self.admitted.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

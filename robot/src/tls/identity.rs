@@ -106,7 +106,7 @@ impl Identity {
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(self.name.to_string()).ok()?;
-        Some(Proof { name, roles: self.roles.clone() })
+        Some(Proof { name, roles: self.roles.clone(), serial: Some(Label::new(&self.serial).ok()?) })
     }
 
     /// Returns the URIs that represent a name and roles in a certificate.

@@ -1,5 +1,5 @@
-//! Certificates that are invalid although they have not expired. The authority lists them in a file that may be replaced while a robot
-//! runs.
+//! Revoked certificates, which are invalid although they have not expired. The authority lists them in a file, which may be replaced
+//! while a robot runs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use downbeat_key_file::{Versioned, Watched, read_regular};
 /// Maximum size of a list in bytes. An entry takes about 40 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
-/// A list of revoked certificates (RFC 5280, section 5) in a file. After the file is replaced, the new list applies within a second, also
+/// A file with a list of revoked certificates (RFC 5280, section 5). If the file is replaced, the new list applies within a second, even
 /// to open connections.
 #[derive(Clone, Debug)]
 pub struct Revoked {
@@ -25,10 +25,10 @@ pub struct Revoked {
 }
 
 impl Revoked {
-    /// Returns the list that is in this file. Whether the authority signed it is checked where it is used.
+    /// Returns the list in this file. The authority's signature is not checked until the list is used.
     ///
     /// # Errors
-    /// The file cannot be read now.
+    /// The file cannot be read at present.
     pub fn in_file(path: &Path) -> Result<Self, CredentialsError> {
         der(&read_regular(path, BYTES_MAX)?, path)?;
         Ok(Self { path: path.into() })
@@ -49,11 +49,11 @@ pub struct List {
     pub(super) der: CertificateRevocationListDer<'static>,
     /// Serial numbers of the revoked certificates, in hexadecimal digits with colons.
     serials: BTreeSet<String>,
-    /// Number of the list, as big-endian bytes without leading zeros. A later list has a larger number.
+    /// Number of the list, as big-endian bytes without leading zeros. A newer list has a larger number.
     number: Vec<u8>,
     /// When the authority signed the list, in seconds since 1970, UTC.
     issued: i64,
-    /// When the authority intends to sign the next list, in seconds since 1970, UTC.
+    /// When the authority intends to sign the next list, in seconds since 1970, UTC. `None` if the list does not state this.
     next_update: Option<i64>,
 }
 
@@ -62,7 +62,7 @@ impl List {
         Self::of_pem(&read_regular(path, BYTES_MAX)?, path, authority)
     }
 
-    /// Reads a list from its text. `path` is the name of the file in errors.
+    /// Parses the text of a list. Errors name `path` as its file.
     fn of_pem(text: &[u8], path: &Path, authority: &CertificateDer<'_>) -> Result<Self, CredentialsError> {
         let der = der(text, path)?;
         let no_list = || CredentialsError::NoList { path: path.into() };
@@ -86,7 +86,7 @@ impl List {
         self.serials.contains(serial)
     }
 
-    /// Returns the number of the list, in decimal digits if it fits 64 bits. A later list has a larger number.
+    /// Returns the number of the list; `None` if it does not fit into 64 bits. A newer list has a larger number.
     #[must_use]
     pub fn number(&self) -> Option<u64> {
         (self.number.len() <= 8)
@@ -99,7 +99,7 @@ impl List {
         self.issued
     }
 
-    /// Whether the authority should have signed a newer list by `now`, in seconds since 1970, UTC.
+    /// Whether the authority should have signed a newer list before `now` (in seconds since 1970, UTC).
     #[must_use]
     pub fn is_overdue(&self, now: i64) -> bool {
         self.next_update.is_some_and(|at| at < now)
@@ -128,13 +128,13 @@ fn is_signed_by(list: &CertificateRevocationList<'_>, authority: &CertificateDer
     algorithms.iter().any(|algorithm| algorithm.verify_signature(key, signed, signature).is_ok())
 }
 
-/// A list that is read again when its file changes. Only a later list of the same authority replaces it, so no list admits revoked
-/// operators, or excludes operators that would stop the robot.
+/// A list that is read again when its file changes. An older list, or one of another authority, does not replace it. Therefore no such
+/// list can readmit revoked operators, or exclude operators who would stop the robot.
 #[derive(Debug)]
 pub(super) struct CurrentList {
     authority: CertificateDer<'static>,
     file: Watched<List>,
-    /// Whether a warning about an overdue list was logged.
+    /// Whether the log already contains a warning that this list is overdue.
     warned: AtomicBool,
 }
 
@@ -145,7 +145,7 @@ impl CurrentList {
         Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
     }
 
-    /// Stores this list in the file and uses it, unless the list in use is as new.
+    /// Stores this list in the file and uses it if it is newer than the list in use. Does nothing if both are equally new.
     pub(super) fn replace(&self, text: &str) -> Result<(), String> {
         let list = List::of_pem(text.as_bytes(), self.file.path(), &self.authority);
         self.file.replace(text, list.map_err(|error| error.to_string())?)
@@ -156,7 +156,7 @@ impl CurrentList {
         self.file.latest()
     }
 
-    /// Returns the list in use, after reading the file if it has changed.
+    /// Reads the file again if it has changed, and returns the list in use.
     pub(super) fn list(&self) -> Arc<List> {
         let list = self.file.refresh(|path| List::read(path, &self.authority));
         let is_overdue = list.is_overdue(super::calendar());

@@ -8,9 +8,9 @@ use urrcp::ContentHash;
 pub(super) enum Next {
     /// More frames may follow.
     More,
-    /// No more frames follow: the sender has closed its direction.
+    /// No further frames follow: the sender has closed its direction.
     End,
-    /// No more frames follow: the connection of the sender has broken, and the sender no longer reads either.
+    /// No further frames follow: the sender's connection has broken, and the sender no longer reads either.
     Broken,
     /// Like `Broken`, because the sender did not receive a text (a separate publication) to which a frame referred.
     Lacking,

@@ -32,7 +32,8 @@ struct Told {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tokens(Arc<Mutex<Told>>);
 
-/// Makes a connection depend on a liveliness token. Dropping this value forgets the token if nothing else needs it.
+/// Makes a connection depend on a liveliness token. When this value is dropped, the token is forgotten if it is absent and no other
+/// connection depends on it.
 pub(super) struct Following {
     tokens: Tokens,
     token: String,

@@ -85,13 +85,15 @@ bool sealed_random(unsigned char *bytes, size_t length)
 static bool is_revoked(const char *path, const char *serial, size_t length)
 {
     char line[1024];
-    bool found = false;
+    bool found = false, whole = false;
     FILE *file = path ? fopen(path, "r") : NULL;
     if (!file)
         return path != NULL; /* an unreadable list rejects everyone */
-    while (fgets(line, sizeof line, file))
+    while (fgets(line, sizeof line, file)) {
         found = found || (strcspn(line, "\r\n") == length && !memcmp(line, serial, length));
-    found = found || ferror(file);
+        whole = !strcmp(line, "# end\n"); /* without it, the list was cut off */
+    }
+    found = found || ferror(file) || !whole;
     fclose(file);
     return found;
 }

@@ -157,7 +157,7 @@ static void handshake(void)
     for (item = vectors.nodes[list].first; item != JSON_NONE; item = vectors.nodes[item].next) {
         FILE *revoked = fopen("revoked.test", "w");
         if (revoked) {
-            fputs("# numbers\n0b:00\n", revoked);
+            fputs("# numbers\n0b:00\n# end\n", revoked);
             fclose(revoked);
         }
         key.revoked = "revoked.test";

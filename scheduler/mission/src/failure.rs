@@ -127,7 +127,11 @@ impl Mission {
         if self.robots[robot].standing == Standing::Out {
             return;
         }
-        if gone && self.acts.iter().any(|act| act.has_something_on(robot)) {
+        let is_denied = matches!(&self.robots[robot].link, Link::Lost(lost) if lost.loss == Loss::Denied);
+        // A robot that plays is given up when its lease ends. For a robot that holds nothing, there is no such time, and another attempt
+        // would be refused as well, for example because the operator's key was revoked.
+        let holds = self.acts.iter().any(|act| act.has_something_on(robot));
+        if (gone && holds) || (is_denied && !holds) {
             return self.fail(now, robot, FailureKind::LinkDown { reason });
         }
         let patience = self.options.patience;

@@ -257,8 +257,8 @@ impl Mission {
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 
-    /// The robots of an act that were asked for positions, and whose devices would have to jump at their first step. A robot that has not
-    /// answered is included only if the positions of its devices are unchecked for this act.
+    /// The robots of an act whose positions the mission has requested, and whose devices would have to jump at their first step. A robot
+    /// that has not answered is included only if the positions of its devices are unchecked for this act.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {

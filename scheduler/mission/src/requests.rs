@@ -8,7 +8,7 @@ use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status,
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
-use super::robot_state::{SentStop, Stop};
+use super::robot_state::{Rest, SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
 
@@ -82,12 +82,29 @@ impl Mission {
             act.mark_unknown(script);
             return self.goes_on(now);
         }
+        let was_barred = act.was_barred(script, response);
         let noted = act.answered(script, response, self.arrived, &self.robots);
         self.report_rest(now, robot);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
             self.goes_on(now);
         } else if matches!(self.phase, Phase::Stopping { .. }) {
+            self.stop_progress(now);
+        }
+        if was_barred {
+            self.rests_already(now, robot);
+        }
+    }
+
+    /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
+    fn rests_already(&mut self, now: Timestamp<Server>, robot: usize) {
+        let stop = &mut self.robots[robot].stop;
+        if !matches!(stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
+            return;
+        }
+        *stop = Stop::Confirmed(Rest::InPlace);
+        self.stop_confirmed(now, robot);
+        if matches!(self.phase, Phase::Stopping { .. }) {
             self.stop_progress(now);
         }
     }

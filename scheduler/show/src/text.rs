@@ -483,8 +483,8 @@ fn steps(robot: &RobotReport) -> String {
     format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)
 }
 
-/// Returns the word that is appended to the robot's number of starts if the number relies on a claim that cannot be true. Otherwise
-/// returns an empty text.
+/// Returns the suffix for the robot's number of starts: `claimed` if the number relies on a claim that cannot be true, otherwise an
+/// empty text.
 fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
     let doubted =
         |failure: &Failure| failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. });

@@ -86,7 +86,7 @@ impl Braking {
         self.values.windows(2).map(|two| (two[1] - two[0]) / self.interval()).collect()
     }
 
-    /// Describes what is wrong with a movement to rest; `None` if it is correct. `rate` contains the change of a position per second
+    /// Describes the fault of a movement to rest; `None` if the movement is correct. `rate` contains the change of a position per second
     /// before the braking, and the error of that rate. `stays` states whether the device comes to rest in place, rather than at its
     /// default position.
     #[must_use]

@@ -182,8 +182,8 @@ fn is_rounded(off: f64, value: f64) -> bool {
     off.abs() <= ROUNDING * (1.0 + value.abs())
 }
 
-/// Describes what is wrong with a movement to rest. It does not start at the position of the device, or it violates the declared
-/// acceleration.
+/// Describes the fault of a movement to rest: it does not start at the position of the device, or it violates the declared acceleration.
+/// `None` if the movement is correct.
 fn flaw(
     entry: &LogEntry,
     before: Option<Movement<'_>>,

@@ -30,7 +30,7 @@ use crate::show::table::Rows;
 /// Ask the robots of a fleet for their descriptions and clocks.
 #[derive(Debug, Subcommand)]
 pub(super) enum FleetCommand {
-    /// Ask every robot for an answer and compare clocks.
+    /// Check that every robot answers, and measure the error of its clock.
     #[command(
         after_help = "The command fails if a robot does not answer, if a different robot answers, or if \
 the error of a clock exceeds the tolerance (except with `clock: measured`).
@@ -57,7 +57,7 @@ Examples:
 
 #[derive(Debug, Args)]
 pub(super) struct DescribeArgs {
-    /// The robot's address, tcp://host:port or thrift://host:port.
+    /// The robot's address, such as tcp://host:port or thrift://host:port.
     #[arg(value_parser = parse_address)]
     address: Address,
     /// How long to wait for an answer.
@@ -81,10 +81,10 @@ pub(super) struct FleetArgs {
     patience: Span,
 }
 
-/// Whether programs are started.
+/// Whether the programs of the fleet file are started.
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct ProgramArgs {
-    /// Start the programs that the fleet file names as drivers (`address: program:COMMAND`). By default, their robots are not available.
+    /// Start the programs that the fleet file names as drivers (`address: program:COMMAND`). Otherwise their robots are not available.
     #[arg(long)]
     start_programs: bool,
 }
@@ -114,10 +114,10 @@ fn parse_address(text: &str) -> Result<Address, String> {
     })
 }
 
-/// Number of exchanges with each robot to measure its clock.
+/// Number of exchanges that measure the clock of each robot.
 const SAMPLES: u32 = 8;
 
-/// The response of one robot, or the reason for its absence.
+/// The answer of one robot, or the reason why it is missing.
 #[derive(Debug, Serialize)]
 pub(super) struct Answer {
     pub(super) robot: RobotId,
@@ -263,10 +263,10 @@ fn unnamed() -> RobotId {
     "robot".parse().expect("a constant below every limit")
 }
 
-/// A robot that is asked, and the list of revoked keys that is sent to it, if any.
+/// A robot to ask, and the list of revoked keys to send to it, if any.
 pub(super) type Asked<'a> = (&'a FleetRobot, Option<String>);
 
-/// Asks these robots of a fleet for their descriptions and clocks, and sends each the list of revoked keys next to it, if there is one.
+/// Asks robots of a fleet for their descriptions and clocks. Sends each robot the list of revoked keys next to it in `asked`, if any.
 pub(super) async fn ask_all(
     fleet: &Fleet,
     asked: Vec<Asked<'_>>,
@@ -393,8 +393,8 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
     table.painted(console::columns(), |row, line| if wrong(row) { console::red(&line) } else { line })
 }
 
-/// Returns the number of a list of revoked keys, with its age if `downbeat keys` made it: its number is then the second in which it was
-/// made.
+/// Returns the number of a list of revoked keys. If `downbeat keys` made the list, the number is its creation time in seconds since 1970,
+/// UTC, and the text includes the age of the list.
 pub(super) fn shown_list(number: u64) -> String {
     const OLDEST: u64 = 1_700_000_000;
     const DAY: u64 = 24 * 3_600;
@@ -408,7 +408,7 @@ pub(super) fn shown_list(number: u64) -> String {
     }
 }
 
-/// Adds a problem to each robot that uses an older list of revoked keys than another one.
+/// Adds a problem to each robot whose list of revoked keys is older than that of another robot.
 fn note_older_lists(answers: &mut [Answer]) {
     let number = |answer: &Answer| answer.revocation_list.as_ref().map(|list| list.number);
     let Some(newest) = answers.iter().filter_map(number).max() else { return };

@@ -290,9 +290,20 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
         Ok(fleet) => fleet,
         Err(exit) => return Ok(exit),
     };
-    let authority = Authority::open(&named.folder.keys)?;
     let Some(name) = named.name() else { return Ok(Exit::Done) };
-    let revoked = authority.revoke(&name, calendar())?;
+    if fleet.as_ref().is_some_and(|fleet| push::is_sent_by(fleet, &name)) {
+        console::error(&format!(
+            "{} would send the list to the robots itself, and they would refuse it; set DOWNBEAT_IDENTITY to the identity file of another operator",
+            shown(&name.to_string())
+        ));
+        return Ok(Exit::Usage);
+    }
+    let authority = Authority::open(&named.folder.keys)?;
+    let revoked = match authority.revoke(&name, calendar()) {
+        // The list may not have reached all robots.
+        Err(KeysError::RevokedAlready(_)) if fleet.is_some() => 0,
+        revoked => revoked?,
+    };
     let (list, serials) = (authority.revoked(), authority.revoked_serials());
     // The folder is locked while the authority is open.
     drop(authority);

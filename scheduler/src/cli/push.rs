@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use downbeat_robot::tls::{Credentials, Name};
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Address, Fleet, FleetRobot, Protection};
 use serde::Serialize;
@@ -10,7 +11,7 @@ use urrcp::{RobotId, Span};
 use super::fleet::{Answer, ask_all, shown_list};
 use super::keys::FolderArgs;
 use super::run::parse_span;
-use super::{Exit, Format, ProjectArgs, console, load};
+use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::{Drivers, StartPrograms};
 use crate::keys::{Authority, calendar};
 
@@ -37,11 +38,11 @@ pub(super) struct PushArgs {
 }
 
 impl PushArgs {
-    /// Default time to wait for answers.
+    /// Time for which `downbeat keys revoke --fleet` waits for answers. Equals the default of `--patience`.
     pub(super) const PATIENCE: Span = Span::from_millis(5_000);
 }
 
-/// The list that a robot uses after the latest one was sent to it.
+/// The list that a robot uses after the latest list has been sent to it.
 #[derive(Debug, Serialize)]
 pub(super) struct Pushed {
     robot: RobotId,
@@ -70,7 +71,7 @@ pub(super) fn push(args: &PushArgs, format: Format) -> Exit {
     exit(&robots)
 }
 
-/// Reads a fleet file of which at least one robot requires a proven identity.
+/// Reads a fleet file. Prints an error if none of its robots requires a proven identity.
 pub(super) fn fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
     let fleet = load::load_fleet(path, project, format)?;
     if protected(&fleet).next().is_none() {
@@ -81,6 +82,12 @@ pub(super) fn fleet(path: &Path, project: &ProjectArgs, format: Format) -> Resul
         return Err(Exit::Usage);
     }
     Ok(fleet)
+}
+
+/// Whether this terminal connects to the robots of a fleet as this operator.
+pub(super) fn is_sent_by(fleet: &Fleet, operator: &Name) -> bool {
+    let own = identity::keys(fleet).identity.and_then(|path| Credentials::read(&path).ok());
+    own.is_some_and(|own| own.identity().name == *operator)
 }
 
 fn protected(fleet: &Fleet) -> impl Iterator<Item = (&FleetRobot, Protection)> {
@@ -96,6 +103,7 @@ fn protected(fleet: &Fleet) -> impl Iterator<Item = (&FleetRobot, Protection)> {
 /// A sentence with the reason why no robot could be asked.
 pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result<Vec<Pushed>, String> {
     let (mut pushed, mut asked) = (Vec::new(), Vec::new());
+    let mut bytes = 0;
     let latest = {
         // The folder is locked while the authority is open.
         let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
@@ -103,10 +111,15 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
         for (robot, protection) in protected(fleet) {
             let id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
             match authority.list_for(id, protection) {
-                Ok(list) => asked.push((robot, Some(list))),
+                Ok(list) => {
+                    bytes = bytes.max(list.len());
+                    asked.push((robot, Some(list)));
+                }
                 Err(error) => {
-                    let (robot, problem) = (robot.id.clone(), Some(error.to_string()));
-                    pushed.push(Pushed { robot, list: None, problem });
+                    let problem = format!(
+                        "{error}; make a secret for it with `downbeat keys secret {id}`, or remove it from the fleet file"
+                    );
+                    pushed.push(Pushed { robot: robot.id.clone(), list: None, problem: Some(problem) });
                 }
             }
         }
@@ -117,18 +130,29 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
         answers = ask_all(fleet, asked, Drivers::from(StartPrograms::No), patience).await;
         Exit::Done
     });
-    pushed.extend(answers?.into_iter().map(|answer| result(answer, latest)));
+    pushed.extend(answers?.into_iter().map(|answer| result(answer, (latest, bytes))));
     Ok(pushed)
 }
 
-fn result(answer: Answer, latest: u64) -> Pushed {
+/// Length in bytes of a list that a robot accepts even while it plays in another operator's mission.
+const ALWAYS_ACCEPTED: usize = 60_000;
+
+fn result(answer: Answer, (latest, bytes): (u64, usize)) -> Pushed {
     let Answer { robot, problem, revocation_list, .. } = answer;
     let list = revocation_list.as_ref().map(|list| list.number).filter(|number| *number > 0);
-    let problem = (list != Some(latest)).then(|| {
-        let refused = revocation_list.and_then(|list| list.refused);
-        let unknown = || "it does not state which list it uses; copy the list to it".to_owned();
-        refused.or(problem).unwrap_or_else(unknown)
-    });
+    let refused = revocation_list.and_then(|list| list.refused);
+    let problem = match list {
+        Some(number) if number > latest => Some(format!(
+            "it is newer than list {latest} in the authority's folder: this folder may be an old copy"
+        )),
+        Some(number) if number == latest && refused.is_none() => None,
+        _ => {
+            let unknown = || "it does not state which list it uses; copy the list to it".to_owned();
+            let problem = refused.or(problem).unwrap_or_else(unknown);
+            let hint = "; while a robot plays in a mission, it may refuse a list of this length: try again later, or copy the list to it";
+            Some(format!("{problem}{}", if bytes > ALWAYS_ACCEPTED { hint } else { "" }))
+        }
+    };
     Pushed { robot, list, problem }
 }
 
@@ -147,7 +171,7 @@ pub(super) fn show(robots: &[Pushed]) {
     }
 }
 
-/// Returns [`Exit::Done`] if all robots use the latest list.
+/// Returns [`Exit::Done`] if all robots use the latest list, otherwise [`Exit::Failed`].
 pub(super) fn exit(robots: &[Pushed]) -> Exit {
     if robots.iter().all(|robot| robot.problem.is_none()) { Exit::Done } else { Exit::Failed }
 }

@@ -22,12 +22,12 @@ const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation",
 #[derive(Clone, Copy)]
 struct Words<'a> {
     text: &'a str,
-    /// Byte offset of the end of the word that was read last.
+    /// Byte offset of the end of the last word read.
     at: usize,
     /// The number of the current line, counted from 1; `line_start` is the line's byte offset.
     line: usize,
     line_start: usize,
-    /// Byte offset of the word that was read last; `width` is the word's length in bytes.
+    /// Byte offset of the start of the last word read; `width` is its length in bytes.
     start: usize,
     width: usize,
 }

@@ -261,7 +261,7 @@ pub(super) fn said_by(header: &str) -> Said {
     }
 }
 
-/// Returns the words of a text. A capital letter after a small letter also starts a word.
+/// Splits a text into words of letters and digits. An upper-case letter after a lower-case one starts a new word.
 fn words(text: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut before = ' ';
@@ -279,7 +279,7 @@ fn words(text: &str) -> Vec<String> {
     words
 }
 
-/// Returns the unit of time that a word denotes in one of the usual spellings.
+/// Returns the unit of time with this spelling, such as `s`, `secs` or `seconds`.
 fn spelled(word: &str) -> Option<TimeUnit> {
     Some(TimeUnit::Nanos(match word.to_lowercase().trim_end_matches('.') {
         "h" | "hr" | "hrs" | "hour" | "hours" => 3_600_000_000_000,

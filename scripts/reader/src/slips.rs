@@ -342,7 +342,7 @@ pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     }
 }
 
-/// Returns a hint for a word such as `yes` or `no`, which YAML reads as text, in place of `true` or `false`.
+/// Returns a hint to write `true` or `false` instead of a text such as `yes` or `no`, which YAML does not read as a boolean.
 fn truth(text: &str, place: &Place) -> Option<String> {
     let is_mirror = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "mirror");
     let value = match text.to_lowercase().as_str() {

@@ -58,7 +58,7 @@ pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Pl
     (requirements, place)
 }
 
-/// The word before a bound, such as `below`.
+/// The comparison before a bound, such as `below`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Word {
     Below,
@@ -70,7 +70,7 @@ enum Word {
 const WORDS: [(&str, Word); 4] =
     [("below", Word::Below), ("at most", Word::AtMost), ("above", Word::Above), ("at least", Word::AtLeast)];
 
-/// Splits a text into the word before a bound (such as `below`) and the rest; `None` if either is missing.
+/// Splits a text such as `below 5ms` into its comparison and its bound; `None` if either is missing.
 fn cut(text: &str) -> Option<(Word, &str)> {
     let text = text.trim();
     let rest_of = |word: &str| {
@@ -82,13 +82,13 @@ fn cut(text: &str) -> Option<(Word, &str)> {
     WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
 }
 
-/// Returns the word as written in a scenario.
+/// Returns the comparison as written in a scenario.
 fn word_of(word: Word) -> &'static str {
     WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text)
 }
 
-/// Splits a text into the word before a bound (such as `below`) and the rest. Reports a text that does not begin with one of the words
-/// `fitting`.
+/// Splits a text such as `below 5ms` into its comparison and its bound. Reports a text that does not begin with one of the comparisons
+/// in `fitting`.
 fn bound<'t>(
     reader: &mut Reader,
     at: &At<'_>,

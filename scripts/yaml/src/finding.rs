@@ -364,7 +364,7 @@ pub fn nearest<'a>(
     Some(did_you_mean_this(in_other_case.or(like).or(written_out)?))
 }
 
-/// Whether a name begins with the word or its singular, as `formations` begins with `form`, the singular of `forms`.
+/// Whether `name` begins with `word` or its singular, as `formations` begins with `form`, the singular of `forms`.
 fn is_short_for(word: &str, name: &str) -> bool {
     let begin = word.strip_suffix('s').unwrap_or(word);
     begin.chars().count() >= 4 && name.starts_with(begin)

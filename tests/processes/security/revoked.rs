@@ -2,8 +2,10 @@
 
 use std::time::{Duration, Instant};
 
+use stage::Process;
 use stage::session::Ran;
 use stage::site::Site;
+use stage::terminal::Terminal;
 
 use super::seize::anna_plays;
 
@@ -24,13 +26,14 @@ fn a_mission_whose_operator_is_revoked_ends_and_its_robots_are_free() {
         let report = ended.json();
         assert_ne!(report["outcome"]["outcome"], "done", "{report}");
         assert!(report["failures"].to_string().contains("key was revoked"), "{report}");
-        for robot in 0..3 {
-            let log = site.logged(robot);
-            assert!(log.contains("an operator whose key is no longer valid is disconnected"), "{log}");
-            assert!(
-                log.contains("the session of operator anna ends: the operator's key was revoked"),
-                "{log}"
-            );
+        // Each robot has reported that it rests.
+        let robots = report["robots"].as_array().unwrap();
+        assert!(robots.iter().all(|robot| robot["stop"]["state"] == "confirmed"), "{report}");
+        // Robots check their lists at different times.
+        let ends = "the commands of operator anna end: the operator's key was revoked";
+        while !(0..3).all(|robot| site.logged(robot).contains(ends)) {
+            assert!(revoked.elapsed() < ENDED_WITHIN, "{}", site.logged(0));
+            std::thread::sleep(Duration::from_millis(20));
         }
         site.fleet(&site.addresses(scheme), "cleo");
         site.run().says(0, &["test: done"]);
@@ -130,6 +133,9 @@ fn a_key_is_not_revoked_if_the_named_fleet_cannot_be_read() {
     revoke("open.yaml").says(2, &["no robot has a tls:// or hmac:// address"]);
     site.fleet(&site.addresses("tls"), "cleo");
     session.run(&["fleet", "ping"]).says(0, &["r0"]);
+    // Cleo cannot send the list that revokes Cleo.
+    revoke("fleet.yaml").says(2, &["operator cleo would send the list", "DOWNBEAT_IDENTITY"]);
+    session.run(&["fleet", "ping"]).says(0, &["r0"]);
     site.fleet(&site.addresses("tls"), "anna");
     let revoked =
         session.run(&["keys", "revoke", "--operator", "cleo", "--fleet", "fleet.yaml", "--format", "json"]);
@@ -140,6 +146,8 @@ fn a_key_is_not_revoked_if_the_named_fleet_cannot_be_read() {
         "{json}"
     );
     assert!(json["robots"].as_array().unwrap().iter().all(|robot| robot["problem"].is_null()), "{json}");
+    // A second attempt sends the list again.
+    revoke("fleet.yaml").says(0, &["revoked 0 keys", "r0: uses the latest list"]);
     site.fleet(&site.addresses("tls"), "cleo");
     session.run(&["fleet", "ping"]).says(1, &["revoked"]);
 }
@@ -154,7 +162,25 @@ fn a_robot_that_the_authority_does_not_know_does_not_keep_the_list_from_the_othe
         &[
             "r0: uses the latest list",
             "robot r1 has no key in this folder; these have one: r0, r2",
+            "keys secret r1",
             "r2: uses the latest list",
         ],
     );
+}
+
+#[test]
+fn a_mission_that_waits_for_the_operator_ends_when_its_key_is_revoked() {
+    let site = Site::new();
+    let waiting = "scenario: waiting\nstart_tolerance: 1s\nacts:\n  - act: one\n    wait: operator\n    cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
+    site.session.file("waiting.yaml", waiting);
+    let terminal = Terminal::new(80, 30);
+    let watched = terminal.watch();
+    let mut command = site.session.command(&["run", "waiting.yaml"]);
+    terminal.attach(&mut command);
+    let mut process = Process(command.spawn().unwrap());
+    watched.shows("waits for", ENDED_WITHIN);
+    site.session.run(&["keys", "revoke", "--operator", "anna"]).says(0, &["revoked 1"]);
+    watched.shows("your certificate is revoked", ENDED_WITHIN);
+    assert_eq!(process.0.wait().unwrap().code(), Some(1), "{}", watched.screen());
+    assert_eq!(site.moved(), 0);
 }

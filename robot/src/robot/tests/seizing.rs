@@ -188,14 +188,18 @@ fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session
     assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(4.0));
 }
 
+/// The key with this serial number is no longer valid.
+fn barred(serial: &str) -> Input {
+    Input::Barred { serial: serial.parse().unwrap(), why: "the operator's key was revoked".to_owned() }
+}
+
 #[test]
 fn the_commands_of_an_operator_end_when_its_key_becomes_invalid_and_the_robot_is_free() {
     let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
     bench.out.clear();
-    let why = || Input::Barred("the operator's key was revoked".to_owned());
-    bench.robot.handle(bench.now, LINK, why(), &mut bench.out);
+    bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator anna"), &mut bench.out);
     let told = bench.statuses();
-    assert_eq!(told, ["Failed cancelled", "Failed cancelled"]);
+    assert_eq!(told, ["Failed forbidden", "Failed forbidden"]);
     assert!(bench.robot.is_idle());
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
     bench.send_on(OTHER, of("bert's", timed("arm", "e", 1_300.0, script(ControlType::Position, &PAPER))));
@@ -208,7 +212,7 @@ fn the_commands_of_an_operator_end_when_its_key_becomes_invalid_and_the_robot_is
 #[test]
 fn another_operator_keeps_the_robot_when_a_key_becomes_invalid() {
     let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
-    bench.robot.handle(bench.now, OTHER, Input::Barred("its key has expired".to_owned()), &mut bench.out);
+    bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator bert"), &mut bench.out);
     bench.send_on(LINK, hello("anna's"));
     assert_eq!(bench.last_said(), "1 OK ");
     bench.until(5_000);
@@ -223,7 +227,40 @@ fn a_device_that_an_operator_left_moving_stops_when_its_key_becomes_invalid() {
     bench.send_on(LINK, of("anna's", timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 10.0)]))));
     bench.until(1_000);
     assert!(bench.robot.is_idle());
-    bench.robot.handle(bench.now, LINK, Input::Barred("its key has expired".to_owned()), &mut bench.out);
+    bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator anna"), &mut bench.out);
     bench.until(6_000);
     assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
+}
+
+#[test]
+fn the_commands_of_an_invalid_key_end_also_if_its_link_has_broken_or_names_another_session() {
+    let breaks = |bench: &mut Bench| bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    let names_another = |bench: &mut Bench| bench.send_on(LINK, hello("another"));
+    let cases: [&dyn Fn(&mut Bench); 2] = [&breaks, &names_another];
+    for case in cases {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
+        let without_lease = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+        bench.send_on(LINK, of("anna's", without_lease));
+        bench.until(200);
+        case(&mut bench);
+        bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator anna"), &mut bench.out);
+        assert!(bench.robot.is_idle());
+        bench.until(5_000);
+        assert_eq!(bench.values(), [(100, 45.0)], "it moves no further");
+    }
+}
+
+#[test]
+fn a_session_that_continues_with_a_new_key_survives_the_end_of_the_old_one() {
+    let mut bench = anna_plays(None);
+    let renewed = LinkId(3);
+    let roles = DRIVES.into_iter().collect();
+    let proof = urrcp::Proof { name: "operator anna".parse().unwrap(), roles, serial: "new".parse().ok() };
+    bench.robot.handle(bench.now, renewed, Input::Proven(proof), &mut bench.out);
+    bench.send_on(renewed, hello("anna's"));
+    bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator anna"), &mut bench.out);
+    assert!(!bench.robot.is_idle());
+    bench.robot.handle(bench.now, LinkId(u64::MAX), barred("new"), &mut bench.out);
+    assert!(bench.robot.is_idle());
 }

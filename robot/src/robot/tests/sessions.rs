@@ -362,6 +362,7 @@ fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
         Input::Proven(Proof {
             name: Label::new(name).unwrap(),
             roles: [Role::Observe, Role::Drive].into_iter().collect(),
+            serial: None,
         })
     };
     bench.robot.handle(bench.now, LINK, named("desk"), &mut bench.out);
@@ -466,7 +467,9 @@ fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_i
 
 /// Returns the proof of an operator with these roles.
 pub(super) fn operator(name: &str, roles: &[Role]) -> Input {
-    Input::Proven(Proof { name: Label::new(name).unwrap(), roles: roles.iter().copied().collect() })
+    let roles = roles.iter().copied().collect();
+    // Each operator has one key, whose serial number is its name.
+    Input::Proven(Proof { name: Label::new(name).unwrap(), roles, serial: Label::new(name).ok() })
 }
 
 pub(super) fn stop_of(device: &str) -> ControlRequest {

@@ -72,7 +72,7 @@ const CLAIM: &[u8] = b"{\"availability_request\":{\"session\":\"s\"}}\n";
 #[tokio::test]
 async fn an_open_connection_is_closed_when_its_pass_is_revoked() {
     let path = std::env::temp_dir().join(format!("downbeat-door-{}", std::process::id()));
-    std::fs::write(&path, "# none\n").unwrap();
+    std::fs::write(&path, "# none\n# end\n").unwrap();
     let list = RevokedSerials::in_file(&path).unwrap();
     let (host, address, held) = sealed_until(PATIENT, 4_000_000_000, Some(&list)).await;
     let mut stream = TcpStream::connect(address).await.unwrap();
@@ -83,7 +83,7 @@ async fn an_open_connection_is_closed_when_its_pass_is_revoked() {
     drop(spoken);
     let mut owner = host.handle().owner(0).unwrap();
     assert!(owner.wait_for(Option::is_some).await.is_ok());
-    std::fs::write(&path, "0a:1b\n").unwrap();
+    std::fs::write(&path, "0a:1b\n# end\n").unwrap();
     ended(&mut stream).await;
     std::fs::remove_file(&path).unwrap();
     assert_eq!(host.refusals().count(Reason::KeyInvalid), 1);
@@ -101,4 +101,32 @@ async fn an_open_connection_is_closed_when_its_pass_expires() {
     assert_eq!(host.refusals().count(Reason::KeyInvalid), 0);
     ended(&mut stream).await;
     assert_eq!(host.refusals().count(Reason::KeyInvalid), 1);
+}
+
+#[tokio::test]
+async fn a_key_that_is_revoked_while_its_owner_proves_it_is_not_admitted() {
+    let path = std::env::temp_dir().join(format!("downbeat-proving-{}", std::process::id()));
+    std::fs::write(&path, "# none\n# end\n").unwrap();
+    let list = RevokedSerials::in_file(&path).unwrap();
+    let secret = Secret::generate().unwrap();
+    let roles = [Role::Drive].into_iter().collect();
+    let claim = Claim { name: "anna".into(), roles, expires: 4_000_000_000, serial: "0a:1b".into() };
+    let guard = Guard::new("arm".parse().unwrap(), secret.clone(), Some(&list)).unwrap();
+    let held = Held { robot: "arm".parse().unwrap(), pass: secret.pass(&claim), claim };
+    let door = Door::Sealed(Arc::new(guard));
+    let Door::Sealed(guard) = &door else { unreachable!() };
+    let keys = crate::serve::door::Keys::default();
+    let admitted = async || {
+        let (near, far) = tokio::io::duplex(64 * 1024);
+        let (accepted, connected) = tokio::join!(guard.accept(far), connect(near, &held));
+        assert!(connected.is_ok());
+        accepted.unwrap().1
+    };
+    let (first, second) = (admitted().await, admitted().await);
+    let proof = keys.admit(&door, first.into()).await.unwrap();
+    assert!(keys.contains(&proof));
+    std::fs::write(&path, "0a:1b\n# end\n").unwrap();
+    let refused = keys.admit(&door, second.into()).await.unwrap_err();
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(refused.to_string(), "the operator's key was revoked");
 }

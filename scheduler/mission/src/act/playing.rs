@@ -1,6 +1,8 @@
 //! An act from its start to its end: when each robot starts and ends, and when there is room for further scripts.
 
-use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
+use urrcp::{
+    ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Status, Timestamp,
+};
 
 use super::timing::CLOCK_UNKNOWN;
 use super::{Act, ActAction, Member, Stage, Timing};
@@ -58,6 +60,14 @@ impl Act {
     pub(super) fn begin(&mut self, now: Timestamp<Server>) {
         let playing = Playing { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 };
         self.stage = Stage::Playing(playing);
+    }
+
+    /// Whether the robot has ended a script because the operator's key is no longer valid. It has then ended all commands of the session,
+    /// and rests.
+    pub(crate) fn was_barred(&self, script: ScriptRef, response: &ControlResponse) -> bool {
+        let was_accepted = matches!(self.script(script).state(), ScriptState::Held | ScriptState::Running);
+        let forbidden = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::Forbidden);
+        was_accepted && forbidden && response.status == Status::Failed
     }
 
     /// Processes a response to a request of this act.

@@ -901,6 +901,22 @@ fn an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link() {
 }
 
 #[test]
+fn a_mission_that_waits_ends_when_a_robot_no_longer_admits_the_operator() {
+    for (loss, ends) in [(Loss::Denied, true), (Loss::Closed, false), (Loss::Refused, false)] {
+        let mut choreography = choreography(&[&[("a", 0, 400)]]);
+        choreography.acts[0].wait = Wait::Operator;
+        let participant =
+            Participant::new(RobotId::new("r0").unwrap(), robot("r0", Tells::Everything, 1).block);
+        let mission =
+            Mission::new(Arc::new(choreography), vec![participant], MissionOptions::default(), at(0));
+        let mut played = Played::linked(mission.unwrap(), &[0]);
+        played.run_until(at(1_000));
+        played.happens(Event::LinkDown { robot: 0, loss, reason: "your certificate is revoked".to_owned() });
+        assert_eq!(played.mission.robots[0].has_failed(), ends, "{loss:?}");
+    }
+}
+
+#[test]
 fn an_act_is_promised_to_a_robot_without_a_link_only_after_an_attempt_to_reach_it() {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].wait = Wait::Operator;

@@ -100,7 +100,10 @@ impl Authority {
         let head = format!("# Numbers of revoked passes, written by `downbeat keys`.\n# number {number}\n");
         let is_revoked = |entry: &&Entry| entry.kind == Kind::Operator && entry.revoked.is_some();
         let lines = issued.entries().iter().filter(is_revoked).map(|entry| format!("{}\n", entry.serial));
-        files::write_public(&self.revoked_serials(), &std::iter::once(head).chain(lines).collect::<String>())
+        files::write_public(
+            &self.revoked_serials(),
+            &std::iter::once(head).chain(lines).chain(["# end\n".to_owned()]).collect::<String>(),
+        )
     }
 }
 

@@ -185,13 +185,19 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
 /// Classifies the error that ended an established connection.
 fn ended(error: &io::Error) -> (Loss, String) {
     if let Some(denial) = denial(error) {
-        return (Loss::Denied, denial);
+        // Data that was altered on its way shows nothing about the robot.
+        let is_altered = !matches!(tls_error(error), None | Some(rustls::Error::AlertReceived(_)));
+        return (if is_altered { Loss::Unreachable } else { Loss::Denied }, denial);
     }
     let loss = match error.kind() {
         ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted | ErrorKind::BrokenPipe => Loss::Closed,
         _ => Loss::Unreachable,
     };
     (loss, error.to_string())
+}
+
+fn tls_error(error: &io::Error) -> Option<&rustls::Error> {
+    error.get_ref()?.downcast_ref()
 }
 
 impl Peer {

@@ -349,7 +349,8 @@ impl World {
     pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
         let link = LinkId(FOREIGN + SEIZES + robot as u64);
         if let Ok(name) = SEIZED_BY.parse() {
-            let proof = Proof { name, roles: [Role::Drive, Role::Seize].into_iter().collect() };
+            let roles = [Role::Drive, Role::Seize].into_iter().collect();
+            let proof = Proof { name, roles, serial: None };
             self.receive(robot, link, Input::Proven(proof));
         }
         self.asks_for(robot, link, lasts);

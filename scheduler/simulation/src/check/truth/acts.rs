@@ -185,8 +185,8 @@ impl Said<'_> {
     }
 }
 
-/// Describes what is wrong with a start in the report; `None` if it is correct. The start must be the one that the robot logged by its
-/// own clock. If the script's clock offset may be lost, the reported error may be unknown.
+/// Describes the fault of a start in the report; `None` if the start is correct. It must be the start that the robot logged by its own
+/// clock. If the script's clock offset may be lost, the reported error may be unknown.
 fn wrong_start(
     act: &SentAct<'_>,
     script: &SentScript<'_>,
