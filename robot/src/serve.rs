@@ -3,6 +3,8 @@
 mod connection;
 mod described;
 mod door;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+mod keys;
 mod places;
 
 use std::io;
@@ -17,7 +19,7 @@ use tokio::net::{TcpListener, TcpStream};
 use self::connection::{Patience, Shared, carry};
 pub use self::door::Door;
 #[cfg(any(feature = "sealed", feature = "tls"))]
-use self::door::Key;
+use self::keys::Key;
 use self::places::{Places, Ticket};
 use crate::host::HostHandle;
 use crate::peer::Peer;

@@ -19,7 +19,7 @@ use urrcp::{
 use super::described::Described;
 use super::door::Door;
 #[cfg(any(feature = "sealed", feature = "tls"))]
-use super::door::Keys;
+use super::keys::Keys;
 use super::places::Ticket;
 use crate::budget::{Budget, Strangers};
 use crate::hardware::Standing;

@@ -115,7 +115,7 @@ async fn a_key_that_is_revoked_while_its_owner_proves_it_is_not_admitted() {
     let held = Held { robot: "arm".parse().unwrap(), pass: secret.pass(&claim), claim };
     let door = Door::Sealed(Arc::new(guard));
     let Door::Sealed(guard) = &door else { unreachable!() };
-    let keys = crate::serve::door::Keys::default();
+    let keys = crate::serve::keys::Keys::default();
     let admitted = async || {
         let (near, far) = tokio::io::duplex(64 * 1024);
         let (accepted, connected) = tokio::join!(guard.accept(far), connect(near, &held));
