@@ -6,7 +6,9 @@ use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 
 use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
-use urrcp::{ErrorCode, Label, Message, Span, Timestamp};
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use urrcp::Label;
+use urrcp::{ErrorCode, Message, Span, Timestamp};
 
 use super::HostError;
 use super::body::Body;
@@ -18,6 +20,7 @@ use crate::figures::Figures;
 use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
+#[cfg(any(feature = "sealed", feature = "tls"))]
 use crate::peer::Peer;
 use crate::refusals::{Reason, Refusals};
 use crate::robot::Input;
@@ -42,6 +45,7 @@ pub(super) enum Order {
         permit: Option<OwnedSemaphorePermit>,
     },
     /// A key is no longer valid: the commands of the peers that used it end, and their links are closed.
+    #[cfg(any(feature = "sealed", feature = "tls"))]
     Bar {
         robot: usize,
         serial: Label,
@@ -196,6 +200,7 @@ impl Executor {
                 self.advance(robot);
                 drop(permit);
             }
+            #[cfg(any(feature = "sealed", feature = "tls"))]
             Order::Bar { robot, serial, why } => self.bar(robot, &serial, why),
             Order::Look { robot, permit } => {
                 self.robots[robot].look(self.clock.now());
@@ -212,6 +217,7 @@ impl Executor {
     }
 
     /// Ends the commands and closes the links of the peers whose key is no longer valid.
+    #[cfg(any(feature = "sealed", feature = "tls"))]
     fn bar(&mut self, robot: usize, serial: &Label, why: String) {
         let now = self.clock.now();
         // The key may have been used on links that no longer exist.
