@@ -80,15 +80,15 @@ impl de::Visitor<'_> for Digits {
     type Value = ContentHash;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a SHA-256 as 64 hexadecimal digits")
+        f.write_str("a SHA-256 hash of 64 hexadecimal digits")
     }
 
     fn visit_str<E: de::Error>(self, text: &str) -> Result<ContentHash, E> {
-        parse(text).ok_or_else(|| E::custom("content_hash is not 64 hexadecimal digits"))
+        parse(text).ok_or_else(|| E::custom("invalid content_hash, expected 64 hexadecimal digits"))
     }
 
     fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<ContentHash, E> {
-        bytes.try_into().map(ContentHash).map_err(|_| E::custom("content_hash is not 32 bytes"))
+        bytes.try_into().map(ContentHash).map_err(|_| E::custom("invalid content_hash, expected 32 bytes"))
     }
 }
 

@@ -108,7 +108,7 @@ impl<'de> Deserialize<'de> for Short {
             type Value = Short;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("the name of a control type, or 0 for position, 1 for speed, 2 for acceleration")
+                f.write_str("the name of a control type, or 0 (position), 1 (speed) or 2 (acceleration)")
             }
 
             fn visit_u64<E: de::Error>(self, number: u64) -> Result<Short, E> {

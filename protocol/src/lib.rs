@@ -86,7 +86,7 @@ pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};
 pub use time::{Millis, Robot, Server, Span, Timestamp};
 
-/// The examples of the README are compiled with the tests.
+/// Includes the README, so that its examples are compiled with the tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

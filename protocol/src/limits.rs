@@ -43,7 +43,7 @@ pub enum LimitError {
     #[error("an empty identifier, expected 1 to {STRING_CHARS_MAX} characters")]
     EmptyIdentifier,
     /// A number is infinite or not a number.
-    #[error("a number that is not finite")]
+    #[error("expected a finite number")]
     NotFinite,
     /// An offset or period is negative or exceeds [`OFFSET_MS_MAX`].
     #[error("{millis} ms, expected 0 to {OFFSET_MS_MAX} ms")]
@@ -58,7 +58,7 @@ pub enum LimitError {
         count: usize,
     },
     /// Two devices of one robot have the same id.
-    #[error("duplicate device id `{id}`, expected ids unique within the robot")]
+    #[error("duplicate device id `{id}`, expected a unique id for each device of a robot")]
     DuplicateDevice {
         /// The id that occurs more than once.
         id: String,
@@ -79,7 +79,7 @@ pub enum LimitError {
     #[error("more than {INQUIRY_NAMES_MAX} names in one inquiry")]
     NameCount,
     /// A device's default value is outside its range.
-    #[error("default_value {value} of device `{id}`, expected {min} to {max}")]
+    #[error("default_value {value} of device `{id}` is out of range, expected {min} to {max}")]
     DefaultValue {
         /// The id of the device.
         id: String,
@@ -109,7 +109,7 @@ pub enum LimitError {
         id: String,
     },
     /// The lower bound of a range exceeds the upper bound.
-    #[error("min_value {min} lies above max_value {max}")]
+    #[error("min_value {min} is greater than max_value {max}")]
     EmptyRange {
         /// Lower bound of the range.
         min: f64,
@@ -130,13 +130,13 @@ pub enum LimitError {
         max: f64,
     },
     /// A granularity is not positive.
-    #[error("granularity {granularity}, expected a finite number above 0")]
+    #[error("invalid granularity {granularity}, expected a finite number above 0")]
     Granularity {
         /// The invalid granularity.
         granularity: f64,
     },
     /// A bound on an error or delay is negative.
-    #[error("{key} {value}, expected a finite number of at least 0")]
+    #[error("invalid {key} {value}, expected a finite number of at least 0")]
     Negative {
         /// The key of the parameter in the message.
         key: &'static str,

@@ -88,6 +88,16 @@ impl Roles {
         self.0.contains(&role)
     }
 
+    /// Returns the roles in words, for messages: `no role`, `the role observe` or `the roles observe, drive`.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        match self.0.len() {
+            0 => "no role".to_owned(),
+            1 => format!("the role {self}"),
+            _ => format!("the roles {self}"),
+        }
+    }
+
     /// Iterates over the roles in the set, in the order of [`Role::ALL`].
     pub fn iter(&self) -> impl Iterator<Item = Role> + '_ {
         self.0.iter().copied()

@@ -69,10 +69,10 @@ macro_rules! string_schemas {
 string_schemas! {
     RobotId, "RobotId", 1, "Identifies a robot uniquely.";
     DeviceId, "DeviceId", 1, "Identifies a device among the devices of its robot.";
-    RequestId, "RequestId", 0, "Ties responses to the request that they answer.";
-    SessionId, "SessionId", 1, "One run of a scheduler.";
+    RequestId, "RequestId", 0, "Links each response to the request that it answers.";
+    SessionId, "SessionId", 1, "Identifies one run of a scheduler.";
     Label, "Label", 0, "Human-readable text.";
-    Status, "Status", 0, "Accepted, Started, OK, Failed, Provide, or a value of a later version.";
+    Status, "Status", 0, "Accepted, Started, OK, Failed, Provide, or a value from a later version of the protocol.";
     ErrorCode, "ErrorCode", 0, "Machine-readable kind of failure.";
 }
 
@@ -83,7 +83,7 @@ impl<C> JsonSchema for Timestamp<C> {
 
     fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "RFC 3339 with up to nine fractional digits.",
+            "description": "An RFC 3339 timestamp with up to nine fractional digits.",
             "type": "string",
             "format": "date-time",
             "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]+)?([Zz]|[+-][0-9]{2}:[0-9]{2})$",
@@ -92,14 +92,14 @@ impl<C> JsonSchema for Timestamp<C> {
 }
 
 schema_of!(Millis, "Millis", |_generator| json_schema!({
-    "description": "Milliseconds, fractions allowed.",
+    "description": "Milliseconds; fractions are allowed.",
     "type": "number",
     "minimum": 0,
     "maximum": OFFSET_MS_MAX,
 }));
 
 schema_of!(ContentHash, "ContentHash", |_generator| json_schema!({
-    "description": "SHA-256 over the canonical JSON of control_value.",
+    "description": "The SHA-256 hash of the canonical JSON of control_value.",
     "type": "string",
     "pattern": "^[0-9A-Fa-f]{64}$",
 }));
@@ -114,7 +114,7 @@ schema_of!(StopCondition, "StopCondition", |generator| {
     let millis = generator.subschema_for::<Millis>();
     let limit = generator.subschema_for::<Option<Millis>>();
     json_schema!({
-        "description": "Milliseconds of silence of the server until the device stops; null means no limit.",
+        "description": "Milliseconds of server silence after which the device stops; null means no limit.",
         "anyOf": [
             millis,
             {"type": "object", "properties": {"pending": limit, "running": limit}},
@@ -126,7 +126,7 @@ schema_of!(Step, "Step", |generator| {
     let offset = generator.subschema_for::<Millis>();
     let stop_condition = generator.subschema_for::<Option<StopCondition>>();
     json_schema!({
-        "description": "One step of a script; its offset counts from the script's own start and does not decrease.",
+        "description": "One step of a script. Its offset counts from the start of the script and is not less than that of the previous step.",
         "type": "object",
         "properties": {
             "time_offset_to_start": offset,
@@ -148,7 +148,7 @@ schema_of!(Step, "Step", |generator| {
 
 schema_of!(Script, "Script", |generator| {
     let step = generator.subschema_for::<Step>();
-    json_schema!({"description": "Steps in order of time. An empty list cancels.", "type": "array", "items": step})
+    json_schema!({"description": "Steps in chronological order. An empty list cancels commands.", "type": "array", "items": step})
 });
 
 schema_of!(StatusValue, "StatusValue", |generator| {
@@ -227,7 +227,7 @@ schema_of!(ControlTypes, "ControlTypes", |generator| {
     let script = generator.subschema_for::<ScriptParameters>();
     let sensor = generator.subschema_for::<SensorParameters>();
     json_schema!({
-        "description": "Control type to its parameters.",
+        "description": "Maps each control type to its parameters.",
         "type": "object",
         "properties": {
             "position": motion, "speed": motion, "acceleration": motion, "script": script, "sensor": sensor,
@@ -235,7 +235,7 @@ schema_of!(ControlTypes, "ControlTypes", |generator| {
         "patternProperties": {"^custom_(0|[1-9][0-9]{0,9})$": {
             "type": "object",
             "properties": {"at_rest": {
-                "description": "The values that it takes when a command ends early: one number for all of them, or one for each.",
+                "description": "The values that the device takes when a command ends early: one number for all values, or a list with one number for each.",
                 "anyOf": [
                     {"type": "number"},
                     {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": CONTROL_VALUES_MAX},

@@ -286,15 +286,15 @@ impl<'de, C> Deserialize<'de> for Timestamp<C> {
             type Value = i64;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a timestamp of RFC 3339")
+                f.write_str("an RFC 3339 timestamp")
             }
 
             fn visit_str<E: de::Error>(self, text: &str) -> Result<i64, E> {
                 let parsed = DateTime::parse_from_rfc3339(text)
-                    .map_err(|e| E::custom(format!("timestamp is not RFC 3339: {e}")))?;
+                    .map_err(|e| E::custom(format!("invalid timestamp, expected RFC 3339: {e}")))?;
                 parsed
                     .timestamp_nanos_opt()
-                    .ok_or_else(|| E::custom("timestamp lies outside the years 1678 to 2262"))
+                    .ok_or_else(|| E::custom("timestamp out of range, expected a year from 1678 to 2262"))
             }
 
             fn visit_i64<E: de::Error>(self, nanos: i64) -> Result<i64, E> {
@@ -302,7 +302,8 @@ impl<'de, C> Deserialize<'de> for Timestamp<C> {
             }
 
             fn visit_u64<E: de::Error>(self, nanos: u64) -> Result<i64, E> {
-                i64::try_from(nanos).map_err(|_| E::custom("timestamp lies outside the years 1678 to 2262"))
+                i64::try_from(nanos)
+                    .map_err(|_| E::custom("timestamp out of range, expected a year from 1678 to 2262"))
             }
         }
         let nanos = if deserializer.is_human_readable() {

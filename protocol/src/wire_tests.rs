@@ -164,7 +164,7 @@ fn a_message_beyond_the_limits_is_refused_with_its_place() {
     check_invalid(
         r#"{"initialization_block":{"id":"r","api_version":"1","devices":[{"id":"d","name":"d","available_control_types":{"position":{"min_value":1,"max_value":0,"granularity":1}}}]}}"#,
         "initialization_block.devices[0].available_control_types.position",
-        "min_value 1 lies above max_value 0",
+        "min_value 1 is greater than max_value 0",
     );
 }
 

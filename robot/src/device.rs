@@ -111,7 +111,7 @@ pub(crate) enum Effect {
 }
 
 /// Error message with code `link_lost` for a command whose `pending_until` has passed.
-const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
+const NOT_CONFIRMED: &str = "`pending_until` passed before the command started";
 
 /// Limit for a stop's timestamp that is ahead of the robot's clock. For commands of the stop's own sender, a timestamp further ahead
 /// counts as this far ahead.
@@ -285,7 +285,8 @@ impl DeviceMachine {
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
         if !held.began && now - at > self.start_late_max && self.lookahead.is_none() {
-            let message = format!("woke up {} after the start; a late command is never started", now - at);
+            let message =
+                format!("the robot woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
         held.began = true;
@@ -605,14 +606,14 @@ impl DeviceMachine {
             return Err(ControlError::new(ErrorCode::Late, message));
         }
         if let Some(until) = request.pending_until.filter(|until| *until <= now) {
-            let message = format!("its `pending_until` passed {} ago", now - until);
+            let message = format!("the command's `pending_until` passed {} ago", now - until);
             return Err(ControlError::new(ErrorCode::Late, message));
         }
         let end = start + duration;
         let (stop_condition, is_first) = (request.stop_condition, self.queue.is_empty());
         Reach { start, end, stop_condition, steps: &steps, is_first }.check(now)?;
         if self.was_taken_back(link, request.timestamp) {
-            let message = "it was cancelled by a stop that arrived before it";
+            let message = "the command was cancelled by a stop that arrived before it";
             return Err(ControlError::new(ErrorCode::Cancelled, message));
         }
         // At the same instant, a zero-length command precedes a command that has not started, but never enters a running one.
@@ -626,7 +627,7 @@ impl DeviceMachine {
         }
         if self.queue.len() >= self.spec.script_queue as usize {
             let message = format!(
-                "`{}` already holds {} of {} commands",
+                "`{}` already holds {} of at most {} commands",
                 self.spec.id,
                 self.queue.len(),
                 self.spec.script_queue
@@ -666,11 +667,12 @@ impl DeviceMachine {
                 Ok((Steps::Script(script.clone()), script.duration()))
             }
             Command::Unknown(name) => {
-                let message =
-                    format!("`{}` does not support the unknown control type `{name}`", self.spec.id);
+                let message = format!("`{}` does not support control type `{name}`", self.spec.id);
                 Err(ControlError::new(ErrorCode::UnsupportedControlType, message))
             }
-            Command::ReadSensor => Err(ControlError::new(ErrorCode::Internal, "a reading is not held")),
+            Command::ReadSensor => {
+                Err(ControlError::new(ErrorCode::Internal, "a request for a reading cannot be queued"))
+            }
         }
     }
 
@@ -715,9 +717,9 @@ fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
 /// not have been read.
 fn lease_message(lease: &str, late: Span) -> String {
     if late > START_LATE_MAX {
-        format!("the {lease} lease ended while the robot was delayed: it woke up {late} later")
+        format!("the {lease} lease ended while the robot was delayed: the robot woke up {late} after that")
     } else {
-        format!("the {lease} lease ended: the server was silent for longer than `stop_condition`")
+        format!("the {lease} lease ended: the server was silent for longer than `stop_condition` allows")
     }
 }
 

@@ -130,7 +130,7 @@ impl Edge {
             PlanNews::Cancelled(plan) => machine.plan_cancelled(now, plan, out),
         });
         if let Some(untrue) = untrue {
-            self.mailbox.failed_by_itself(format!("it sent an impossible report: {untrue}"));
+            self.mailbox.failed_by_itself(format!("the driver sent an impossible report: {untrue}"));
         }
     }
 

@@ -161,7 +161,7 @@ impl Hardware {
             _ => None,
         };
         if let Some(max) = full {
-            let message = format!("{max} readings are already open");
+            let message = format!("{max} readings are already pending");
             return Err(ControlError::new(ErrorCode::Busy, message));
         }
         let wait = Span::from_millis_f64(max_delay.unwrap_or(READING_WAIT_MS).min(READING_WAIT_MS_MAX));

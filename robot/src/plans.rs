@@ -255,21 +255,24 @@ impl Plan {
         event: &PlanEvent,
     ) -> Result<Timestamp<Robot>, String> {
         if at > now + GRAIN {
-            return Err(format!("its time is {} in the future", at - now));
+            return Err(format!("the reported time is {} in the future", at - now));
         }
         if at < self.held.accepted - GRAIN {
-            return Err(format!("its time is {} before the script was accepted", self.held.accepted - at));
+            return Err(format!(
+                "the reported time is {} before the script was accepted",
+                self.held.accepted - at
+            ));
         }
         let at = at.min(now);
         match event {
             PlanEvent::Began => self.began = self.began.or(Some(at)),
             PlanEvent::Step(_) | PlanEvent::Done if !self.has_begun() => {
-                return Err("it reports progress, but no start was reported".to_owned());
+                return Err("progress was reported, but no start".to_owned());
             }
             PlanEvent::Step(step) => self.note_step(at, *step)?,
             PlanEvent::Done if self.held.time_of(self.given).is_some() => {
                 return Err(format!(
-                    "it reports the end, but only {} of its steps were handed over",
+                    "the end of the script was reported, but only {} of its steps had been sent to the driver",
                     self.given
                 ));
             }
@@ -291,7 +294,10 @@ impl Plan {
     fn note_step(&mut self, at: Timestamp<Robot>, step: u32) -> Result<(), String> {
         let due = self.held.time_of(step as usize).filter(|_| (step as usize) < self.given);
         let Some(due) = due else {
-            return Err(format!("it reports step {step}, but {} were handed over", self.given));
+            return Err(format!(
+                "step {step} was reported, but only {} of the script's steps had been sent to the driver",
+                self.given
+            ));
         };
         if step >= self.steps_done {
             self.steps_done = step + 1;

@@ -31,15 +31,17 @@ impl Reach<'_> {
         let (ahead, until_end) = (self.start - now, self.end - now);
         let lease = self.stop_condition.unwrap_or_default();
         let message = if let Some(silence) = silence {
-            format!("a limit of its stop_condition is {silence}, expected at most {SILENCE_MAX}")
+            format!("the stop_condition allows {silence} of silence, expected at most {SILENCE_MAX}")
         } else if ahead > REACH_MAX {
-            format!("the start is {ahead} ahead, expected at most {REACH_MAX}")
+            format!("the start is {ahead} in the future, expected at most {REACH_MAX}")
         } else if ahead > START_WITHOUT_LEASE_MAX && self.is_first && lease.pending.is_none() {
             format!(
-                "the start is {ahead} ahead; more than {START_WITHOUT_LEASE_MAX} requires a `pending` stop_condition"
+                "the start is {ahead} in the future; more than {START_WITHOUT_LEASE_MAX} requires a `pending` stop_condition"
             )
         } else if until_end > REACH_MAX && lease.running.is_none() {
-            format!("the end is {until_end} ahead; more than {REACH_MAX} requires a `running` stop_condition")
+            format!(
+                "the end is {until_end} in the future; more than {REACH_MAX} requires a `running` stop_condition"
+            )
         } else {
             return Ok(());
         };
@@ -91,7 +93,7 @@ mod tests {
         }
         let beyond = Some(SILENCE_MAX + Span::from_millis(1));
         for limit in [[beyond, Some(GRAIN)], [Some(GRAIN), beyond]] {
-            check(says(GRAIN, GRAIN, limit, true), Some("a limit of its stop_condition"));
+            check(says(GRAIN, GRAIN, limit, true), Some("the stop_condition allows"));
         }
     }
 

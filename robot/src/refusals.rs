@@ -32,33 +32,33 @@ macro_rules! reasons {
 }
 
 reasons! {
-    /// Disconnected: the peer's unread messages exceed its share.
-    Unread = "a peer that does not read its messages is disconnected",
+    /// Disconnected: the messages that the peer has not read exceed the limit.
+    Unread = "a peer was disconnected because it does not read its messages",
     /// Disconnected: the peer accepted no bytes for 10 s.
-    Stuck = "a peer that accepts no bytes is disconnected",
+    Stuck = "a peer was disconnected because it accepts no bytes",
     /// Disconnected: the peer sent no complete message in the first 5 s.
-    SaidNothing = "a connection without a message is closed",
+    SaidNothing = "a connection was closed because no message arrived",
     /// Disconnected: the peer did not complete a message within 10 s after its first byte.
-    HalfAMessage = "a connection with an incomplete message is closed",
-    /// Disconnected: another connection took this one's place.
-    MadeRoom = "a connection without the session of the robot is closed to make room",
-    /// Disconnected: one host has too many connections.
-    ManyFromOneHost = "one host has too many connections: one of them is closed",
-    /// Slowed down: the peer sends more than its share.
-    Paused = "a peer that sends too much is throttled",
+    HalfAMessage = "a connection was closed because a message remained incomplete",
+    /// Disconnected: this connection was closed to give its place to another one.
+    MadeRoom = "a connection was closed to make room for another; it did not belong to the session that owns the robot",
+    /// Disconnected: one remote host has too many connections.
+    ManyFromOneHost = "a connection was closed because its host has too many connections",
+    /// Slowed down: the peer sends more than its budget permits.
+    Paused = "a peer was throttled because it sends too much",
     /// Refused: the line is longer than a peer that does not own the robot may send.
-    LongLine = "a long line of a peer without the session of the robot is skipped",
+    LongLine = "a long line was ignored because its sender does not own the robot",
     /// Disconnected: the peer has not proven its identity by TLS or a pass.
-    NotProven = "a peer that does not prove its identity is disconnected",
+    NotProven = "a peer was disconnected because it did not prove its identity",
     /// Disconnected: the key with which the peer has proven its identity was revoked, or has expired.
-    KeyInvalid = "an operator whose key is no longer valid is disconnected",
+    KeyInvalid = "an operator was disconnected because the key is no longer valid",
     /// Disconnected: bytes arrived that the peer did not send, or did not send in this order.
-    Altered = "a connection with altered, repeated or reordered data is closed",
+    Altered = "a connection was closed because its data was altered, repeated or reordered",
     /// Refused: the robot belongs to another session, or holds as many commands as it can.
-    Busy = "a peer is refused because the robot is busy",
+    Busy = "a peer was refused because the robot is busy",
 }
 
-/// Counts since the start of the host, by reason.
+/// Numbers of refusals, delays and disconnections since the start of the host, by reason.
 #[derive(Debug)]
 pub struct Refusals {
     counts: [AtomicU64; Reason::ALL.len()],
@@ -87,7 +87,7 @@ impl Default for Refusals {
 const LOG_INTERVAL_MS: u64 = 1_000;
 
 impl Refusals {
-    /// Returns how often a reason applied.
+    /// Returns how often peers were refused, slowed down or disconnected for this reason.
     #[must_use]
     pub fn count(&self, reason: Reason) -> u64 {
         self.counts[reason as usize].load(Ordering::Relaxed)
@@ -105,7 +105,8 @@ impl Refusals {
         peers.iter().filter(|(noted, _)| *noted == reason).map(|(_, peer)| peer.clone()).collect()
     }
 
-    /// Counts a case. Logs it unless the same reason was logged in the last second, and returns whether it was logged.
+    /// Counts one case of this reason. Logs the case unless a case of this reason was logged in the last second. Returns whether it was
+    /// logged.
     pub(crate) fn note(&self, reason: Reason, peer: &Peer) -> bool {
         self.note_at(reason, peer, u64::try_from(self.begin.elapsed().as_millis()).unwrap_or(u64::MAX))
     }

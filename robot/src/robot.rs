@@ -34,9 +34,10 @@ use urrcp::Proof;
 pub enum Input {
     /// A message from the peer.
     Message(Message),
-    /// A request with the hash of its content. The reader computed the hash, because hashing a long script takes long.
+    /// A request with the hash of its content. The thread that read the request has computed the hash, because hashing a long script
+    /// takes a long time.
     Hashed(ControlRequest, ContentHash),
-    /// The peer of the link has proven its identity. Precedes the peer's messages.
+    /// The peer of the link has proven its identity. This input precedes the peer's messages.
     Proven(Proof),
     /// A key is no longer valid. The commands of the parties that used it end, and their devices come to rest. The link does not matter.
     Barred {
@@ -48,13 +49,13 @@ pub enum Input {
     /// A line that is not a valid message. The robot answers it, but it renews no lease: noise on a line does not prove that the server
     /// works.
     Undecodable(DecodeError),
-    /// The link broke. The silence of the link counts from its last message.
+    /// The link broke. Its silence counts from the last message that arrived on it.
     LinkDown,
 }
 
 impl Input {
-    /// Wraps a message and computes the content hash that the robot compares. The thread that read the message thus relieves the robot's
-    /// thread, which serves several robots.
+    /// Wraps a message. If the message contains a hash to check, computes the hash of its content here. This relieves the robot's thread,
+    /// which serves several robots.
     #[must_use]
     pub fn read(message: Message) -> Self {
         match message {
@@ -67,7 +68,7 @@ impl Input {
     }
 }
 
-/// An action that a robot requests.
+/// An action that the robot's state machine requests from its caller.
 #[derive(Clone, Debug)]
 pub enum Output {
     /// Send a message on a link.
@@ -84,7 +85,7 @@ pub enum Output {
     Confirm {
         /// Identifies this request for confirmation.
         ticket: Ticket,
-        /// Device whose values must be taken.
+        /// Device whose earlier values the hardware must have taken.
         device: DeviceId,
     },
     /// Read a sensor of the hardware, and pass the result to [`Robot::reading_came`].
@@ -132,13 +133,14 @@ pub struct Robot {
     index_of: HashMap<DeviceId, usize>,
     heard: LastMessages,
     parties: Parties,
-    /// Earliest possible wake-up time of each device. A renewed lease makes an entry too early, never too late.
+    /// Time at which each device may first need to be woken. After a lease is renewed, an entry may be too early, but never too late.
     wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
     wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
     hardware: Hardware,
-    /// Reports about ends of commands that the hardware has yet to confirm. `None` if ends are reported at once.
+    /// Reports of ended commands and responses to stops, which are held back until the hardware confirms the last value. `None` if they
+    /// are sent at once.
     unconfirmed: Option<Unconfirmed>,
     /// Scripts that the driver has received or will receive, and that it times by itself.
     plans: Plans,
@@ -146,9 +148,9 @@ pub struct Robot {
     /// Whether the robot has set any value since its start.
     moved: bool,
     effects: Vec<Effect>,
-    /// Command counts, in which `held` is unused.
+    /// Command counts. Their field `held` is unused, because [`Robot::counts`] computes it.
     counts: Counts,
-    /// Pending reports, each with the index of its device and the time of the event.
+    /// Reports that have not been sent yet, each with the index of its device and the time of the event.
     reports: Vec<(usize, Now, Effect)>,
 }
 
@@ -182,7 +184,8 @@ impl Robot {
         }
     }
 
-    /// Sets the limits of movements to rest and to the default state, if they are lower than the limits that the devices declare.
+    /// Sets limits for movements to rest and to the default state. A limit applies only if it is lower than the one that the device
+    /// declares.
     #[must_use]
     pub fn with_limits(mut self, limits: &BTreeMap<DeviceId, MotionLimits>) -> Self {
         for device in &mut self.devices {
@@ -219,7 +222,8 @@ impl Robot {
         self.hardware.answers()
     }
 
-    /// Returns the value of a signal at `now`, including linear movements.
+    /// Returns the value of a device's signal at `now`, even in the middle of a linear movement. `None` if there is no such device or
+    /// signal.
     #[must_use]
     pub fn value(&self, device: &str, control_type: ControlType, now: Now) -> Option<f64> {
         self.devices[*self.index_of.get(device)?].value(control_type, now)
@@ -232,24 +236,25 @@ impl Robot {
         }
     }
 
-    /// Returns the readings of the sensors that the machine answers by itself.
+    /// Returns the readings of the sensors that the state machine answers by itself, without hardware.
     pub(crate) fn readings(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
         self.readings.iter().map(|(sensor, reading)| (sensor, *reading))
     }
 
-    /// Sets the reading of a sensor that the machine answers by itself.
+    /// Sets the reading of a sensor that the state machine answers by itself, without hardware.
     pub fn set_reading(&mut self, device: DeviceId, reading: f64) {
         self.readings.insert(device, reading);
     }
 
-    /// Returns the time of the next event, or an earlier time. Call [`Robot::advance`] then.
+    /// Returns when [`Robot::advance`] must be called next. This is the time of the next event, or an earlier time. `None` if no event is
+    /// to come.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Now> {
         let device = self.wakeups.first().map(|(at, _)| *at);
         device.into_iter().chain(self.hardware.next_wakeup()).chain(self.plans.next_wakeup()).min()
     }
 
-    /// Executes everything due at or before `now`. All movements precede all reports.
+    /// Executes everything due at or before `now`: first all movements, then all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         self.advance_movements(now, out);
         self.give_up_unreported(now, out);
@@ -257,8 +262,8 @@ impl Robot {
         self.give_up_readings(now, out);
     }
 
-    /// Executes the movements due at or before `now`, without their reports. A caller can thus move many robots at one instant before it
-    /// spends time on messages.
+    /// Executes the movements due at or before `now`, but sends no reports yet. A caller can thus move many robots at one instant before
+    /// it spends time on messages.
     pub(crate) fn advance_movements(&mut self, now: Now, out: &mut Vec<Output>) {
         while let Some(&(at, index)) = self.wakeups.first() {
             if at > now {
@@ -318,8 +323,8 @@ impl Robot {
         }
     }
 
-    /// Releases the robot if the session that owns it is over. An inquiry that renews leases is no claim: it must not give the robot back
-    /// to an ended session.
+    /// Releases the robot if the session that owns it is over. This must happen before an inquiry renews leases, because an inquiry is no
+    /// claim and must not give the robot back to an ended session.
     pub(crate) fn release_if_over(&mut self, now: Now) {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         if self.parties.owner(now, idle, &self.heard).is_none() {
@@ -333,14 +338,14 @@ impl Robot {
         (self.parties.changes(), self.parties.last_claimant())
     }
 
-    /// Whether the party of this link owns the robot, or owned it last.
+    /// Whether the party of this link (its session, or the link itself) owns the robot, or owned it last.
     #[cfg(feature = "host")]
     pub(crate) fn is_owner(&self, link: LinkId) -> bool {
         self.parties.last_owner() == Some(self.parties.party(link))
     }
 
-    /// Forgets parties that hold no commands, however many strangers send messages. The times of the last messages of all other parties
-    /// are kept.
+    /// Forgets the time of the last message of every party, except for the owner and the parties that hold commands. The memory is thus
+    /// bounded, however many strangers send messages.
     fn forget_who_holds_nothing(&mut self) {
         let holding = self.devices.iter().flat_map(DeviceMachine::parties);
         let holding = holding.chain(self.parties.last_owner()).collect();
@@ -375,7 +380,7 @@ impl Robot {
             }
             Message::ControlRequest(request) => self.control(now, link, request, None, out),
             Message::Inquiry(inquiry) => self.inquire(now, link, &inquiry, out),
-            _ => tracing::debug!(robot = %self.block.id, "a message that no server sends: ignored"),
+            _ => tracing::debug!(robot = %self.block.id, "ignored a message that no server sends"),
         }
     }
 
@@ -410,7 +415,7 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Updates the wake-up time, the movements and the reports of a device after an input changed it.
+    /// Updates a device's wake-up time, outputs its movements and sends its reports, after an input has changed the device.
     fn settle(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         self.refresh_wakeup(index);
         self.move_device(now, index, out);
@@ -428,7 +433,7 @@ impl Robot {
         self.answer(link, ControlResponse::refusal(now, request, error), out);
     }
 
-    /// Sends a response and remembers it for a repetition of its request.
+    /// Sends a response, and remembers it in case its request is repeated.
     fn answer(&mut self, link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
         self.answers.remember(&answer);
         tell(link, answer, out);
@@ -443,7 +448,7 @@ impl Robot {
         }
     }
 
-    /// Outputs a device's movements. Keeps the device's reports for later, so that no movement waits for a report.
+    /// Outputs a device's movements. Keeps the device's reports for later, so that no movement has to wait for a report.
     fn move_device(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         if self.devices[index].lookahead.is_some() {
             return self.plan_effects(now, index, out);
@@ -519,7 +524,7 @@ impl Robot {
     }
 }
 
-/// Sends a response without remembering it for a repetition of its request.
+/// Sends a response, but does not remember it in case its request is repeated.
 fn tell(link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
     out.push(Output::Send { link, message: Message::ControlResponse(answer) });
 }

@@ -1,4 +1,4 @@
-//! Carries messages over TCP for a robot of a host: lines of JSON, or frames of MessagePack if the peer sends these.
+//! Transfers messages over TCP for a robot of a host: lines of JSON, or frames of MessagePack if the peer sends these.
 
 mod connection;
 mod described;
@@ -30,9 +30,11 @@ use crate::zenoh;
 #[cfg(feature = "sealed")]
 use downbeat_sealed as sealed;
 
-/// Interval at which a new connection is tried again for which there is no room because all others are equally new.
+/// Interval between attempts to admit a new connection. An attempt fails if there is no room, and all other connections are too new to be
+/// closed.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
-/// Delay before the next connection is accepted if the system has no file descriptor left. Meanwhile, other connections must close.
+/// Delay before the next attempt to accept a connection after one has failed, for example because no file descriptor was left. Other
+/// connections may close in the meantime.
 const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
 /// Accepts connections for one robot of a host until the host stops. `robot` is the robot's index in the list with which the host was
@@ -86,7 +88,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
     }
 }
 
-/// Waits until the new connection of this peer is admitted.
+/// Waits until the new connection of this peer is admitted, and returns its ticket.
 async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
     loop {
         match places.admit(peer) {
@@ -133,7 +135,7 @@ async fn serve_with(
     accepting.await
 }
 
-/// Carries a connection. If the door requires it, the peer must first prove its identity.
+/// Transfers the messages of a connection. If `door` requires it, the peer must first prove its identity.
 async fn admit(
     stream: TcpStream,
     peer: Peer,
@@ -198,7 +200,7 @@ where
     })
 }
 
-/// Whether a connection ended because data arrived that its peer did not send, or did not send in this form.
+/// Whether a connection ended because the data that arrived is not exactly what the peer sent.
 #[cfg(any(feature = "sealed", feature = "tls"))]
 fn is_altered(error: &io::Error) -> bool {
     let Some(inner) = error.get_ref() else { return false };
@@ -213,8 +215,8 @@ fn is_altered(error: &io::Error) -> bool {
     false
 }
 
-/// Accepts the next connection. Serving continues if a connection breaks before it is accepted, or if the system is short of file
-/// descriptors.
+/// Accepts the next connection. Tries again if a connection breaks before it is accepted, or if the system is short of resources such as
+/// file descriptors.
 async fn accept(listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
     loop {
         match listener.accept().await {

@@ -211,7 +211,7 @@ async fn a_line_beyond_the_limit_is_refused_once_and_takes_no_more_than_a_few_li
         }
         stage.others_notice_nothing().await;
         peer.write(b"\n").await;
-        peer.is_refused("a line longer than 16777216 bytes").await;
+        peer.is_refused("the line is too long, expected at most 16777216 bytes").await;
     }
     // The growing line, and its shorter predecessor, which is copied into it.
     growth.is_at_most(4 * LINE_BYTES_MAX);

@@ -99,7 +99,7 @@ fn what_stands_behind_an_alias_is_placed_where_the_alias_is_used() {
     let compiled = compile_text(text);
     let off: Vec<_> = compiled.findings.iter().filter(|f| f.code == Code::OutOfRange).collect();
     assert_eq!(off.iter().map(|f| (f.line, f.column)).collect::<Vec<_>>(), [(3, 60)]);
-    assert!(off[0].message.ends_with("; the same mistake in line 4"), "{}", off[0].message);
+    assert!(off[0].message.ends_with("; the same mistake on line 4"), "{}", off[0].message);
 }
 
 #[test]

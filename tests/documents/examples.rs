@@ -86,14 +86,14 @@ fn the_drones_of_the_swap_come_as_close_as_their_steps_say() {
         "{found} at {at}"
     );
     downbeat(&["plan", "scripts/examples/swap.yaml"])
-        .says(0, &["closest: `cf2` and `cf5`, 0.162 m at 2.324 s"]);
+        .says(0, &["closest approach: `cf2` and `cf5`, 0.162 m at 2.324 s"]);
 }
 
 #[test]
 fn at_another_speed_the_limits_of_bodies_are_checked_again() {
     let swap = |speed| downbeat(&["dry-run", "scripts/examples/swap.yaml", "--speed", speed]);
     swap("1.2").says(0, &["done"]);
-    swap("2").says(1, &["robot `cf2`: its body would reach", "m/s, at most 1.5 is allowed"]);
+    swap("2").says(1, &["robot `cf2`: its body would reach", "m/s, but the limit is 1.5"]);
 }
 
 #[test]

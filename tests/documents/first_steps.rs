@@ -57,7 +57,7 @@ fn without_a_fleet_it_is_said_how_to_get_one() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("show.yaml"), "scenario: show\ncues: [{cue: a}]\n").unwrap();
     let checked = downbeat(folder.path(), &["check", "show.yaml"]);
-    checked.says(2, &["fleet.yaml", "run `downbeat init` to create one", "`--fleet FILE` names one"]);
+    checked.says(2, &["fleet.yaml", "run `downbeat init` to create one", "or name one with `--fleet FILE`"]);
 }
 
 #[test]

@@ -18,12 +18,12 @@ fn a_dry_run_that_ends_because_of_its_bound_says_so() {
             act("two", "next: one, ")
         ),
     );
-    let bound = "ended because 3 acts had started, which is the limit; another act would have followed";
+    let bound = "ended because the limit of 3 acts was reached; another act would have followed";
     session.run(&["dry-run", "loop.yaml", "--acts", "3"]).says(0, &[bound]);
     session.file("once.yaml", format!("scenario: once\nacts:\n{}{}", act("one", ""), act("two", "")));
     let ran = session.run(&["dry-run", "once.yaml", "--acts", "2"]);
     assert_eq!(
-        (ran.code(), ran.text().contains("which is the limit")),
+        (ran.code(), ran.text().contains("was reached; another act")),
         (0, false),
         "no other act would have followed: {}",
         ran.text()

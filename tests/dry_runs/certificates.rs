@@ -82,7 +82,7 @@ fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
     for command in ["run", "preflight"] {
         let ran = session.run(&[&[command], &REQUIRED[1..]].concat());
         ran.says(1, says);
-        ran.says(1, &["does not certify this plan and this fleet, so nothing is sent"]);
+        ran.says(1, &["does not certify this plan and this fleet, so nothing was sent"]);
         assert!(!ran.text().contains("show: done"), "{}", ran.text());
     }
 }
@@ -200,7 +200,7 @@ fn a_promise_that_does_not_hold_is_named_and_nothing_is_written() {
     ran.says(
         1,
         &[
-            "no fault: without a fault the mission ends as:",
+            "no fault: the mission did not succeed although no fault was injected:",
             "no certificate was written, because a guarantee did not hold",
         ],
     );
@@ -230,7 +230,7 @@ fn the_certificate_does_not_replace_what_it_is_made_from() {
     let session = session();
     session
         .run(&["dry-run", "show.yaml", "--certify", "show.yaml"])
-        .says(2, &["this would replace its own source `show.yaml`"]);
+        .says(2, &["the output would overwrite its own source `show.yaml`"]);
     session.file("arm.yaml", ARM);
 }
 

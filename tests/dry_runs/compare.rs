@@ -50,7 +50,7 @@ fn plans_are_the_same_if_they_compile_to_the_same() {
         ("scenario: show\n", "scenario: show # text\n"),
     ]);
     let ran = session.run(&["diff", "a.yaml", "b.yaml"]);
-    ran.says(0, &["the same: plan "]);
+    ran.says(0, &["the plans are the same: "]);
     let json = session.run(&["diff", "a.yaml", "b.yaml", "--format", "json"]).json();
     assert_eq!((&json["same"], &json["hash"]["a"]), (&true.into(), &json["hash"]["b"]));
 }
@@ -94,7 +94,7 @@ fn a_cue_that_is_later_takes_its_steps_along() {
     assert_eq!(changes, [r#"{"a":0,"b":500}"#, r#"{"a":1000,"b":1500}"#]);
     assert_eq!((&act["duration_ms"]["a"], &act["duration_ms"]["b"]), (&1000.into(), &1500.into()));
     assert_eq!(act["devices"][0]["shifted_by_ms"], 500);
-    text.says(1, &["act rise: lasts 1 s → 1.5 s", "0 ms → 500 ms", "all later by 500 ms"]);
+    text.says(1, &["act rise: lasts 1 s → 1.5 s", "0 ms → 500 ms", "all steps later by 500 ms"]);
     assert!(!text.out().contains("act fall"), "{}", text.out());
 }
 
@@ -289,5 +289,5 @@ fn the_page_has_the_first_plan_behind_the_second() {
     assert!(differences.iter().any(|difference| difference["subject"] == "left/shoulder"), "{differences:?}");
     session
         .run(&["diff", "a.yaml", "b.yaml", "--html", "a.yaml"])
-        .says(2, &["this would replace its own source `a.yaml`"]);
+        .says(2, &["the output would overwrite its own source `a.yaml`"]);
 }

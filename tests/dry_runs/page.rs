@@ -197,7 +197,7 @@ fn a_page_never_replaces_what_it_is_made_from_and_a_link_leads_to_the_file_that_
     assert!(fs::read_to_string(&path).unwrap().starts_with("<!doctype html>"));
     let text = fs::read_to_string(root().join(SWAP)).unwrap();
     downbeat(&["dry-run", SWAP, "--html", SWAP])
-        .says(2, &["this would replace its own source", "choose another name"]);
+        .says(2, &["the output would overwrite its own source", "choose another name"]);
     downbeat(&["dry-run", SWAP, "--html", "-"]).says(2, &["`-` is not a file"]);
     assert_eq!(fs::read_to_string(root().join(SWAP)).unwrap(), text);
 }
@@ -370,7 +370,7 @@ fn a_page_of_trials_never_replaces_their_world() {
     fs::write(&path, WORLD).unwrap();
     for count in [["--trials", "2"], ["--trial", "1"]] {
         let args = ["dry-run", SWAP, "--world", &path, "--html", &path];
-        downbeat(&[args.as_slice(), &count].concat()).says(2, &["this would replace", "world.yaml"]);
+        downbeat(&[args.as_slice(), &count].concat()).says(2, &["the output would overwrite", "world.yaml"]);
     }
     assert_eq!(fs::read_to_string(&path).unwrap(), WORLD);
 }

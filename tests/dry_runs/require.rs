@@ -45,7 +45,7 @@ fn a_dry_run_says_of_each_requirement_whether_it_is_met_or_why_that_is_not_known
             "at least 99%",
             "1.755 m",
             "--trials",
-            "no requirement is known to be unmet; 2 unknown",
+            "no requirement is known to be unmet; the result is unknown for 2",
         ],
     );
     let ran = session.run(&["dry-run", "show.yaml", "--format", "json"]);

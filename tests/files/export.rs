@@ -38,7 +38,7 @@ fn a_drone_show_goes_out_as_csv_and_comes_back_the_same() {
     }
     let maps = ["--map", "x=x", "--map", "y=y", "--map", "z=z", "--map", "lamp=Red,Green,Blue"];
     let back = [&["import", "csv", "csv", "--time", "Time", "--output", "back"][..], &maps].concat();
-    session.run(&back).says(0, &["2 files, a robot each"]);
+    session.run(&back).says(0, &["imported 2 files as one robot each"]);
     session.run(&["check", "back/scenario.yaml"]).says(0, &["no errors, 2 robots, 8 devices"]);
     session.run(&args).says(2, &["DB0069", "--force"]);
 }

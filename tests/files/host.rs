@@ -99,7 +99,7 @@ fn what_a_mission_leaves_is_for_its_user_alone() {
     let umask = rustix::process::umask(Mode::empty());
     let ran = Ran(command.output().unwrap());
     rustix::process::umask(umask);
-    ran.says(0, &["runs in the background"]);
+    ran.says(0, &["is running in the background"]);
     let state = session.path("state");
     let folder = missions(&state).pop().unwrap();
     let found = [&state, &folder].map(|path| mode(path));
@@ -148,8 +148,11 @@ fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
     pipe(&state.join("a-pipe/journal"));
     std::fs::create_dir(state.join("linked")).unwrap();
     std::fs::hard_link(folder.join("journal"), state.join("linked/journal")).unwrap();
-    let named =
-        ["a-link is a symbolic link", "a-pipe/journal is not a file", "linked/journal has other names"];
+    let named = [
+        "a-link is a symbolic link",
+        "a-pipe/journal is not a file",
+        "linked/journal has several hard links",
+    ];
     at_once(session.command(&["stop"])).says(1, &named);
     at_once(session.command(&["missions", "--all"])).says(0, &named);
     at_once(session.command(&["run", "show.yaml"])).says(0, &named);

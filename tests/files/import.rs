@@ -52,7 +52,7 @@ fn polynomial_pieces_become_a_scenario_that_passes() {
         ],
     );
     let sampled = import(&session, &["crazyswarm", &swap, "--rate", "4"]);
-    sampled.says(0, &["- {at: 250ms, to: -3.300855}", "without --rate, the curve itself is kept"]);
+    sampled.says(0, &["- {at: 250ms, to: -3.300855}", "leave out --rate to keep the curves"]);
 }
 
 /// Returns all numbers of a line.
@@ -194,8 +194,12 @@ fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
     let maps = ["--map", "x=x", "--map", "y=y", "--map", "z=z", "--map", "lamp=Red,Green,Blue"];
     let args = [&["csv", "show", "--time", "Time"][..], &maps].concat();
     let ran = import(&session, &args);
-    let all =
-        ["3 files, a robot each", "3 robots, 1 scene", "- cue: Drone 1\n", "- {at: 500ms, to: [255, 0, 0]}"];
+    let all = [
+        "imported 3 files as one robot each",
+        "3 robots, 1 scene",
+        "- cue: Drone 1\n",
+        "- {at: 500ms, to: [255, 0, 0]}",
+    ];
     ran.says(0, &all);
     ran.says(0, &["left out 1 line in which `lamp` of `Drone 2` does not change"]);
     assert!(ran.out().find("- cue: Drone 2\n") < ran.out().find("- cue: Drone 10\n"));
@@ -251,7 +255,7 @@ fn a_table_with_too_many_columns_is_only_told_that() {
     let row = vec!["1"; 40_000].join(",");
     session.file("wide.csv", format!("t [s],{}\n0,{row}\n1,{row}\n", header.join(",")));
     let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=ch*"]);
-    ran.says(1, &["DB0068", "up to 40000 devices", "at most 10000 robots of 1000 devices"]);
+    ran.says(1, &["DB0068", "up to 40000 devices", "at most 10000 robots with up to 1000 devices each"]);
     assert!(!ran.text().contains("ignored"), "{}", ran.text());
     let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=chan*"]);
     assert!(!ran.text().contains("ignored"), "{}", ran.text());
@@ -264,7 +268,7 @@ fn json_of_millions_of_short_values_is_refused_before_it_takes_any_memory() {
         "bitbots",
         text(3_000_000),
         1,
-        &["DB0068", "the file has 3000000 commas", "at most 1000000 values"],
+        &["DB0068", "the file has too many values, separated by 3000000 commas", "at most 1000000 values"],
     );
     check("bitbots", text(10_000), 1, &["DB0003", "found the number 1"]);
 }
@@ -276,7 +280,7 @@ fn folders_become_acts_in_numerical_order_or_one_list() {
     let ran = import(&session, &["crazyswarm", &sequence]);
     ran.says(
         0,
-        &["sorted 2 scenes of each of 2 robots by number", "  - act: scene 9\n    cues:\n      - cue: cf1"],
+        &["2 scenes for each of 2 robots, sorted by number", "  - act: scene 9\n    cues:\n      - cue: cf1"],
     );
     assert!(ran.out().find("act: scene 9") < ran.out().find("act: scene 18"));
     check_round_trip(&["crazyswarm", &sequence, "--join"], "2 robots, 8 devices");
@@ -288,7 +292,13 @@ fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
     let traj0 = fixture("traj0.csv");
     import(&session, &["crazyswarm", &traj0]).says(
         1,
-        &["DB0065", "traj0.csv:33:1", "has 32 pieces", "at most 31 pieces", "4 KB for pieces of 132 bytes"],
+        &[
+            "DB0065",
+            "traj0.csv:33:1",
+            "has 32 pieces",
+            "at most 31 pieces",
+            "4 KB of memory for pieces of 132 bytes each",
+        ],
     );
     import(&session, &["crazyswarm", &traj0, "--max-pieces", "32"])
         .says(0, &["note: ", "`x` jumps by 0.2943 m where two pieces meet"]);
@@ -298,7 +308,7 @@ fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
 fn waypoints_may_leave_lines_out() {
     check_round_trip(&["waypoints", &fixture("waypoints.csv")], "3 robots, 9 devices, 24 steps, 4 s");
     let ran = import(&Session::new(), &["waypoints", &fixture("waypoints.csv")]);
-    ran.says(0, &["`cf2` has 2 waypoints, but others have 3"]);
+    ran.says(0, &["`cf2` has 2 waypoints, but other robots have up to 3"]);
 }
 
 #[test]
@@ -314,7 +324,7 @@ fn keyframes_of_humanoids_are_held_for_their_pauses_and_where_joints_are_left_ou
     import(&Session::new(), &["bitbots", &fixture("turning_front_left.json")]).says(
         0,
         &[
-            "joints missing from the first keyframe, which move to their first value from the start: `RShoulderPitch`, `RShoulderRoll`",
+            "joints missing from the first keyframe move to their first value from the start: `RShoulderPitch`, `RShoulderRoll`",
         ],
     );
 }
@@ -337,7 +347,7 @@ fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
     straight.says(
         0,
         &[
-            "the path between points is a cubic through their positions and velocities",
+            "the path between points is a cubic curve through their positions and velocities",
             "the robot must be at this point before the start",
         ],
     );
@@ -380,9 +390,12 @@ fn times_that_collide_are_found_with_both() {
     let text = format!("joint_names: [a]\npoints:\n{points}");
     check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "point 6: duplicate time 0.372734245 s"]);
     check_csv("t,a\n0.3727,1\n0.37270,2\n", &["DB0063", "test.csv:3:1", "duplicate time 0.3727 s"]);
-    check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s follows the later time 2 s"]);
+    check_csv(
+        "t,a\n2,1\n1,2\n",
+        &["DB0062", "test.csv:3:1", "the time 1 s is earlier than the previous time, 2 s"],
+    );
     let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
-    check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has the duration 0"]);
+    check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has a duration of 0"]);
 }
 
 #[test]
@@ -453,7 +466,7 @@ fn devices_that_the_robot_lacks_are_found() {
         &session,
         &["csv", "log.csv", "--map", "left/shoulder=a", "--init", "arm.yaml", "--output", "out"],
     )
-    .says(0, &["`shoulder` is taken to be in deg"]);
+    .says(0, &["the unit of `shoulder` is unknown, so deg is assumed"]);
     assert_eq!(std::fs::read_to_string(session.path("out/robots/arm.yaml")).unwrap(), stage::session::ARM);
     session.run(&["check", "out/scenario.yaml"]).says(0, &["1 robot, 1 device, 2 steps, 1 s"]);
     import(&session, &["csv", "log.csv", "--map", "left/shoulder=a", "--init", "none.yaml"])
@@ -555,7 +568,12 @@ fn messages_of_ros_that_were_printed_are_scenes() {
     session.file("two.yaml", message(0.5, 1) + &message(0.75, 2));
     import(&session, &["joint-trajectory", "two.yaml"]).says(
         0,
-        &["2 messages, a scene each", "- act: message 1", "- act: message 2", "at: 2.000000005s, to: 0.75"],
+        &[
+            "2 messages, imported as one scene each",
+            "- act: message 1",
+            "- act: message 2",
+            "at: 2.000000005s, to: 0.75",
+        ],
     );
     session.file("cut.yaml", message(0.5, 1) + &message(0.75, 2).replace("- 0.75", "- 0.75\n  - '...'"));
     import(&session, &["joint-trajectory", "cut.yaml"])
@@ -581,9 +599,9 @@ fn files_of_equal_names_are_told_apart_by_their_folders() {
     let ran = import(&session, &[&files[..], &["--map", "star/dim=1"]].concat());
     ran.says(0, &["1 robot, 2 scenes", "- act: left\n", "- act: right\n"]);
     let ran = import(&session, &[&files[..], &["--map", "dim=1"]].concat());
-    ran.says(0, &["2 robots, 1 scene", "named by their folders", "robots: left\n", "robots: right\n"]);
+    ran.says(0, &["2 robots, 1 scene", "named after their folders", "robots: left\n", "robots: right\n"]);
     let ran = import(&session, &["csv", "left", "right", "--map", "a=a"]);
     ran.says(0, &["2 robots, 2 scenes", "- act: left\n", "robots: one\n", "robots: two\n"]);
     import(&session, &["fseq", "left/show.fseq", "left/show.fseq", "--map", "star/dim=1"])
-        .says(1, &["DB0067", "two files move `star`"]);
+        .says(1, &["DB0067", "two files move the robot `star`"]);
 }

@@ -163,7 +163,7 @@ fn the_trajectory_that_is_too_long() {
     let both = folder.join("multi_trajectory");
     let refused = outcome(ImportFormat::Crazyswarm, &both, &ImportOptions::default());
     assert_eq!(refused.findings.len(), 1, "{:?}", refused.findings);
-    assert!(refused.findings[0].message.contains("32 pieces, but a robot holds at most 31"));
+    assert!(refused.findings[0].message.contains("32 pieces, but a robot can store at most 31"));
     assert!(refused.findings[0].file.ends_with("traj0.csv"));
     let one = imported(ImportFormat::Crazyswarm, &both.join("traj1.csv"), &ImportOptions::default());
     assert_eq!((one.steps(), one.duration()), (17 * 4, Span::from_micros(24_984_019)));
@@ -226,7 +226,7 @@ fn the_animations_of_humanoids() {
     assert_eq!((jogram.devices().count(), jogram.duration()), (24, Span::from_millis(54_200)));
     let still = outcome(ImportFormat::Bitbots, &demos(&data).join("Projektwoche2/test_02.json"), &options);
     assert_eq!(still.findings.len(), 1);
-    assert!(still.findings[0].message.starts_with("keyframe 10 has the duration 0"), "{:?}", still.findings);
+    assert!(still.findings[0].message.starts_with("keyframe 10 has a duration of 0"), "{:?}", still.findings);
 }
 
 #[test]

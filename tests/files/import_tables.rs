@@ -17,7 +17,7 @@ fn check(text: impl AsRef<[u8]>, options: &[&str], code: i32, parts: &[&str]) {
 
 #[test]
 fn tables_of_german_spreadsheets_are_read() {
-    let rows = ["at: 500ms, to: 12.25", "at: 1s, to: -3.125", "numbers are read with decimal commas"];
+    let rows = ["at: 500ms, to: 12.25", "at: 1s, to: -3.125", "commas in numbers are read as decimal commas"];
     let show = "\u{feff}Zeit [s];Hüfte [°];Kopf\r\n0,0;0,0;10\r\n0,5;12,25;11,5\r\n1,0;-3,125;1.000,5\r\n";
     check(show, &[], 0, &rows);
     check(show, &["--map", "r/b=Kopf"], 0, &["at: 1s, to: 1000.5"]);
@@ -55,7 +55,7 @@ fn blanks_separate_the_columns_of_loggers() {
 #[test]
 fn a_title_is_named_and_left_out() {
     let text = "Trial 7; take 2\n\nt [s],x\n0,1\n1,2\n2,4\n";
-    let parts = ["DB0060", "log.csv:1:1", "the lines from 3 on", "--skip 2"];
+    let parts = ["DB0060", "log.csv:1:1", "the lines from line 3 on", "--skip 2"];
     check(text, &[], 1, &parts);
     check(text, &["--skip", "2"], 0, &["at: 2s, to: 4"]);
     check(text, &["--skip", "20"], 1, &["the file is empty"]);
@@ -80,7 +80,7 @@ fn frame_numbers_and_timecodes_become_times_by_their_rate() {
 
 #[test]
 fn dates_and_unix_times_count_from_the_first_value() {
-    let noted = "times are dates and are counted from the first value";
+    let noted = "the times are dates, so they are counted from the first value";
     check(
         "when,x\n2026-11-23T20:30:00.250+01:00,1\n2026-11-23T19:30:01.000000005Z,2\n",
         &[],
@@ -107,8 +107,13 @@ fn dates_and_unix_times_count_from_the_first_value() {
         1,
         &["DB0062", "log.csv:3:1", "a time from 1795462200"],
     );
-    check("stamp [s],x\n1795462201,1\n1795462200,2\n", &[], 1, &["DB0062", "follows the later time"]);
-    check("when,x\n2026-02-30T00:00:00Z,1\n", &[], 1, &["DB0062", "the times have no known format"]);
+    check(
+        "stamp [s],x\n1795462201,1\n1795462200,2\n",
+        &[],
+        1,
+        &["DB0062", "is earlier than the previous time"],
+    );
+    check("when,x\n2026-02-30T00:00:00Z,1\n", &[], 1, &["DB0062", "unknown format of the times"]);
     check("t [s],x\n-1,1\n", &[], 1, &["DB0062", "the time is -1 s"]);
 }
 

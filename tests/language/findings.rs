@@ -26,7 +26,7 @@ fn a_sound_scenario_is_passed_with_its_figures() {
 #[test]
 fn a_cue_for_no_robot_is_found() {
     let yaml = scenario("        - {at: 0s, to: 45}\n").replace("robots: arms", "robots: []");
-    check(yaml, 1, &["DB0016", "the cue has no robots"]);
+    check(yaml, 1, &["DB0016", "the list of robots is empty"]);
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn faults_of_the_fleet_file_are_found_in_its_own_lines() {
             "`udp://x` is not an address",
             "DB0019",
             "DB0008",
-            "no robot or group `middle`",
+            "no robot or group `middle` in the fleet",
         ],
     );
 }
@@ -138,7 +138,7 @@ fn few_words_that_stand_for_very_much_are_refused_in_bounded_memory() {
         &session,
         kilobytes,
         1,
-        &["DB0045", "7000000 repetitions add 13999998 keyframes", "at most 10000000 in all cues"],
+        &["DB0045", "7000000 repetitions add 13999998 keyframes", "at most 10000000 across all cues"],
     );
     repeated(
         4_900_000,
@@ -180,7 +180,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
         "canon: 99999000s",
         &[
             "test.yaml:3:43",
-            "the last of 2 robots begins 99999000 s",
+            "the last of 2 robots starts 99999000 s",
             "at most 99996400 s",
             "use a canon of at most 99996400 s",
         ],
@@ -197,7 +197,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
             "tracks: {shoulder: {polynomial: [{for: 60000000s, coefficients: [0]}, {for: 60000000s, coefficients: [0]}]}}",
         ),
         1,
-        &["DB0045", "the movement lasts 120000000 s", "split it into several"],
+        &["DB0045", "the movement lasts 120000000 s", "split it into several movements"],
     );
     check(
         format!("{}  - {{at: 99999000s, robots: left, {track}}}\n", cue(track)),
@@ -205,7 +205,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
         &[
             "DB0045",
             "test.yaml:4:5",
-            "the cue `cue 2` begins at 99999000 s",
+            "the cue `cue 2` starts at 99999000 s",
             "shorten the cues and pauses before it",
         ],
     );
@@ -224,7 +224,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
     check(
         format!("scenario: test\ncues:\n{}", many.replace("after: c-1", "at: 0s")),
         1,
-        &["DB0045", "the cue `c0` begins at 0 ms and ends at 99999999 s", "1 error,"],
+        &["DB0045", "the cue `c0` starts at 0 ms and ends at 99999999 s", "1 error,"],
     );
     let shared: String = (0..200)
         .map(|i| format!("  - {{cue: c{i}, uses: z, robots: left, duration: 90000000s, {track}}}\n"))
@@ -232,7 +232,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
     check(
         format!("scenario: test\nzones: {{z: auto}}\ncues:\n{shared}"),
         1,
-        &["DB0045", "add up to more than the search for an order supports", "1 error,"],
+        &["DB0045", "add up to more than the automatic ordering supports", "1 error,"],
     );
 }
 
@@ -304,7 +304,7 @@ fn zones_and_rules_are_shared_by_very_many_acts() {
         &session,
         1_500_000,
         1,
-        &["DB0045", "there are too many failure rules for robots", "1 error,"],
+        &["DB0045", "brings the number of failure rules for robots above the maximum", "1 error,"],
     );
 }
 

@@ -357,9 +357,8 @@ fn a_job_shop_is_done_by_its_optimum_and_not_before() {
         1,
         &[
             "DB0027",
-            "found no order of the cues of ",
-            "that satisfies all their times",
-            "the search may have missed one",
+            "found no order that satisfies all time limits of the cues that use ",
+            "the search may have missed a valid order",
         ],
     );
 }

@@ -84,7 +84,7 @@ fn of_tiagos_motions_only_the_torso_of_reach_max_is_too_fast() {
         for (code, message) in errors {
             assert_eq!(code, "DB0032");
             assert!(
-                message.starts_with("keyframe 2: from 0.1 to 0.35 in 3 s needs a speed of 0.0833"),
+                message.starts_with("keyframe 2: moving from 0.1 to 0.35 in 3 s requires a speed of 0.0833"),
                 "{message}"
             );
         }

@@ -65,11 +65,11 @@ fn what_is_wrong_with_a_place_is_said_with_what_to_do() {
     stage.file("open.json5", "{mode: \"client\", connect: {endpoints: [\"tcp/192.0.2.7:7447\"]}}");
     stage.file("wrong.json5", "{mode: \"clown\"}").file("nobody.json5", client(free_port()));
     for (listen, args, says) in [
-        ("zenoh:hall/r0", &["--zenoh", "scheduler.json5"][..], "another robot is there"),
+        ("zenoh:hall/r0", &["--zenoh", "scheduler.json5"][..], "another robot already uses this key"),
         ("zenoh:hall/*", &[], "a key is words between slashes"),
-        ("zenoh:hall/x", &[], "name its file"),
+        ("zenoh:hall/x", &[], "name it with `zenoh:`"),
         ("zenoh:hall/x", &["--zenoh", "missing.json5"], "missing.json5: No such file"),
-        ("zenoh:hall/x", &["--zenoh", "wrong.json5"], "expected a configuration of Zenoh"),
+        ("zenoh:hall/x", &["--zenoh", "wrong.json5"], "expected a Zenoh configuration"),
         ("zenoh:hall/x", &["--zenoh", "nobody.json5"], "connect/endpoints"),
         ("zenoh:hall/x", &["--zenoh", "scheduler.json5", "--secret", "x"], "--secret guards TCP"),
     ] {

@@ -84,7 +84,7 @@ fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
     assert_eq!((ended.code, outcome(&ended)), (Some(0), "done".into()), "{ended}");
     assert_eq!(lies(&ended, &sets(&stage, &["fleet.yaml"])), [""; 0]);
     // The access rules have to allow publishing and querying the common script.
-    assert!(!ended.told.contains("does not get what is published"), "{ended}");
+    assert!(!ended.told.contains("does not receive scripts that are published"), "{ended}");
 
     let (code, told) = ping_by("stranger.json5");
     assert!(code == Some(1) && told.contains("no Zenoh network by"), "{told}");

@@ -79,7 +79,9 @@ impl DecodeError {
 impl fmt::Display for DecodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.kind {
-            DecodeErrorKind::LineTooLong { limit } => write!(f, "a line longer than {limit} bytes"),
+            DecodeErrorKind::LineTooLong { limit } => {
+                write!(f, "the line is too long, expected at most {limit} bytes")
+            }
             DecodeErrorKind::FrameTooLong { length, limit } => {
                 write!(f, "a frame of {length} bytes, expected at most {limit}")
             }

@@ -61,7 +61,7 @@ fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     }
     let (path, message) = match serde_json::from_str::<KeyCount>(text) {
         Ok(KeyCount(count)) if count != 1 => {
-            (".".to_owned(), format!("{count} keys, expected exactly one, the name of the message"))
+            (".".to_owned(), format!("found {count} keys, expected exactly one: the name of the message"))
         }
         _ => (path_of_fault(text), without_place(error)),
     };

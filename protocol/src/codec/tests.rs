@@ -188,23 +188,23 @@ fn a_request_beyond_the_limits_is_refused_with_its_place() {
         check_invalid(
             &request(&[("control_type", POSITION), ("control_value", bad)]),
             "control_request.control_value",
-            "not finite",
+            "expected a finite number",
         );
         let step = [b"\x91\x93\x00\x00", bad].concat();
         check_invalid(
             &request(&[("control_type", SCRIPT), ("control_value", &step)]),
             "control_request.control_value[0][2]",
-            "not finite",
+            "expected a finite number",
         );
         check_invalid(
             &request(&[("time_offset_to_start", bad), ("control_type", POSITION)]),
             "control_request.time_offset_to_start",
-            "not finite",
+            "expected a finite number",
         );
     }
     let short = [
         (b"\x91\x92\x00\x00".as_slice(), "control_request.control_value[0]", "invalid length 2"),
-        (b"\x91\x93\x00\x03\x00", "control_request.control_value[0][1]", "0 for position"),
+        (b"\x91\x93\x00\x03\x00", "control_request.control_value[0][1]", "0 (position)"),
         (
             b"\x91\x93\x00\xA6sensor\x00",
             "control_request.control_value[0]",
@@ -271,6 +271,6 @@ fn a_custom_parameter_that_is_not_finite_is_refused() {
     let gain = payload.windows(8).position(|bytes| *bytes == 0.1f64.to_be_bytes()).unwrap();
     payload[gain..gain + 8].copy_from_slice(&f64::NAN.to_be_bytes());
     let DecodeErrorKind::Invalid { path, message } = refused(&payload).kind else { panic!() };
-    assert!(message.contains("not finite"), "{message}");
+    assert!(message.contains("expected a finite number"), "{message}");
     assert!(path.ends_with("custom_1.gain"), "{path}");
 }

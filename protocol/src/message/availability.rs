@@ -8,15 +8,16 @@ use crate::object;
 use crate::text::SessionId;
 use crate::time::{Robot, Server, Timestamp};
 
-/// Step 1 of the protocol: asks whether the robot is available. Also renews leases while the server has no other message to send.
+/// Step 1 of the protocol: asks whether the robot is available. Also renews leases (limits on the silence of the server) while the server
+/// has no other message to send.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityRequest {
     /// When the server sent the request, T1 of RFC 5905 (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
-    /// The session that claims the robot (our extension). A robot that belongs to another session responds with `Failed` and `busy`.
-    /// `None`: the request claims nothing.
+    /// The session (a run of a scheduler) that claims the robot (our extension). A robot that belongs to another session responds with
+    /// `Failed` and `busy`. `None`: the request does not claim the robot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
     /// With `session`: whether to take the robot from its current session, whose commands then end (our extension). The robot refuses
@@ -30,7 +31,7 @@ pub struct AvailabilityRequest {
     pub revocation_list: Option<String>,
 }
 
-/// Deserializes a flag; `null` counts as omitted.
+/// Deserializes a flag; `null` counts as omitted, which means `false`.
 fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
     Option::deserialize(deserializer).map(Option::unwrap_or_default)
 }
@@ -54,7 +55,7 @@ pub struct AvailabilityResponse {
     pub timestamp: Timestamp<Robot>,
     /// `OK`, or `Failed` with an error. If it is `Failed`, the mission stops.
     pub status: Status,
-    /// Why the status is `Failed`.
+    /// The reason why the status is `Failed`; `None` if it is `OK`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
     /// The list of revoked keys that the robot uses (our extension). `None` if the robot has no list.

@@ -321,7 +321,7 @@ impl<'de> Visitor<'de> for RequestVisitor {
         }
         match (self.values, &fields.control_type) {
             (Values::Ignored, Some(Named::Known(known))) => {
-                Err(de::Error::custom(format!("`{known}` is a control type whose values are read")))
+                Err(de::Error::custom(format!("`{known}` is a known control type")))
             }
             _ => finish(fields),
         }
@@ -430,9 +430,9 @@ fn command<E: de::Error>(named: Named, value: Option<RawValue>, more: FurtherVal
             Ok(Command::Script(script))
         }
         (ControlType::Script, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
-        (ControlType::Script, _) => Err(E::custom(
-            "invalid control_value of a script, expected the list of its steps and no further values",
-        )),
+        (ControlType::Script, _) => {
+            Err(E::custom("invalid control_value of a script, expected only a list of steps"))
+        }
         (_, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
         (_, Some(RawValue::Script(_))) => {
             Err(E::custom(format!("control_value of `{control_type}` is a list, expected a number")))

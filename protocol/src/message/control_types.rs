@@ -263,12 +263,12 @@ impl WrittenScript {
         let from = |key: &str, own: Option<f64>, inherited: fn(&Limits) -> f64| match (own, first) {
             (Some(own), _) => Ok(own),
             (None, Some(_)) if ambiguous => Err(format!(
-                "missing field `{key}` of script: the control types that it supports differ, so none is inherited"
+                "missing field `{key}` of script: it cannot be inherited, because the device's control types have different limits"
             )),
             (None, Some(limits)) => Ok(inherited(limits)),
-            (None, None) => {
-                Err(format!("missing field `{key}` of script: there is nothing to inherit it from"))
-            }
+            (None, None) => Err(format!(
+                "missing field `{key}` of script: the device has no control type to inherit it from"
+            )),
         };
         let complete = min_value.is_some() && max_value.is_some() && granularity.is_some();
         let raw = RawLimits {
@@ -531,7 +531,7 @@ mod tests {
         let narrower = r#"{"max_number_of_steps": 4, "control_types": ["position"], "max_value": 45}"#;
         assert_eq!(read(slow, narrower).unwrap(), Limits { max_value: 45.0, ..inherited });
         let error = read(slow, r#"{"max_number_of_steps": 4}"#).unwrap_err().to_string();
-        assert!(error.contains("the control types that it supports differ"), "{error}");
+        assert!(error.contains("the device's control types have different limits"), "{error}");
         assert!(read(slow, "{}").is_err(), "the number of steps is required");
     }
 

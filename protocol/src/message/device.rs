@@ -241,7 +241,7 @@ impl Device {
         let known: Vec<_> = self.available_control_types.iter().map(|(t, _)| t.to_string()).collect();
         ControlError::new(
             ErrorCode::UnsupportedControlType,
-            format!("`{}` does not support {control_type}, it supports {}", self.id, known.join(", ")),
+            format!("`{}` does not support {control_type}; it supports {}", self.id, known.join(", ")),
         )
     }
 }

@@ -104,7 +104,7 @@ impl<'de> Visitor<'de> for ShortStepVisitor {
         while let Some(Number(further)) = list.next_element()? {
             if more.len() + 1 == CONTROL_VALUES_MAX {
                 return Err(de::Error::custom(format!(
-                    "more than {CONTROL_VALUES_MAX} values, expected control_value to control_value_{CONTROL_VALUES_MAX}"
+                    "too many values, expected at most {CONTROL_VALUES_MAX}: control_value to control_value_{CONTROL_VALUES_MAX}"
                 )));
             }
             more.push(further);

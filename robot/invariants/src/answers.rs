@@ -47,7 +47,9 @@ impl Judge {
             Status::Started | Status::Other(_) => return Err(Violation(format!("no answer: {answer:?}"))),
         };
         let cancelled = std::mem::take(&mut self.cancelled);
-        hold(cancelled == owed, || format!("cancelled {cancelled:?}, not {owed:?}, by {request:?}"))
+        hold(cancelled == owed, || {
+            format!("the commands {cancelled:?} were cancelled, expected {owed:?}, after {request:?}")
+        })
     }
 
     fn remember(&mut self, id: &RequestId, answer: &ControlResponse) {
@@ -59,7 +61,11 @@ impl Judge {
     pub(crate) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
         let of_others = |order: &&Order| order.session.is_some() && order.session.as_ref() != session;
         let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
-        hold(others.is_none(), || format!("{session:?} while the robot is held by {others:?}"))
+        hold(others.is_none(), || {
+            format!(
+                "the session {session:?} was served although the robot holds a command of another session: {others:?}"
+            )
+        })
     }
 
     fn accepted(
@@ -81,16 +87,23 @@ impl Judge {
         let order = Order::new(self.serials, now, asked.party, request);
         self.serials += 1;
         let Some(device) = self.devices.get_mut(&request.device_id) else {
-            return Err(Violation(format!("no such device: {request:?}")));
+            return Err(Violation(format!("a request for an unknown device was accepted: {request:?}")));
         };
-        hold(order.start >= now, || format!("a start {} ago was accepted: {request:?}", now - order.start))?;
+        hold(order.start >= now, || {
+            format!(
+                "a request was accepted although its start had passed {} ago: {request:?}",
+                now - order.start
+            )
+        })?;
         let taken_back = request.timestamp.is_some() && request.timestamp <= device.taken_back;
-        hold(!taken_back && !is_cancel(request), || format!("a stop had taken it back: {request:?}"))?;
+        hold(!taken_back && !is_cancel(request), || {
+            format!("an empty script, or a request that a stop had cancelled, was accepted: {request:?}")
+        })?;
         let taken = device.queue.iter().find(|held| overlap(held, &order));
         hold(taken.is_none(), || format!("{request:?} overlaps {taken:?}"))?;
         device.insert(order);
         hold(device.queue.len() <= device.spec.script_queue as usize, || {
-            format!("more than the queue: {device:?}")
+            format!("more commands were accepted than the queue can hold: {device:?}")
         })?;
         Ok(HashSet::new())
     }
@@ -177,7 +190,7 @@ impl Judge {
     pub(crate) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
         let wakeup = robot.next_wakeup();
         hold(wakeup.is_none_or(|at| at > now || now == Timestamp::from_nanos(i64::MAX)), || {
-            format!("at {now} it asks to be woken at {wakeup:?}")
+            format!("at {now}, the robot requested a wake-up that is not in the future: {wakeup:?}")
         })?;
         for device in self.devices.values() {
             self.check_device(now, wakeup, device)?;
@@ -187,7 +200,12 @@ impl Judge {
                 let within = value.zip(limits).is_none_or(|(value, limits)| {
                     (limits.min_value - 1e-9..=limits.max_value + 1e-9).contains(&value)
                 });
-                hold(within, || format!("`{}` stands at {value:?} in {control_type}", device.spec.id))?;
+                hold(within, || {
+                    format!(
+                        "`{}` has the value {value:?} for {control_type}, which is outside its limits",
+                        device.spec.id
+                    )
+                })?;
             }
         }
         Ok(())
@@ -195,18 +213,24 @@ impl Judge {
 
     fn check_device(&self, now: Now, wakeup: Option<Now>, device: &DeviceModel) -> Result<(), Violation> {
         let earliest = device.earliest(&self.heard);
-        hold(earliest.is_none_or(|at| at > now), || format!("at {now} not done: {device:?}"))?;
+        hold(earliest.is_none_or(|at| at > now), || format!("at {now}, a command was overdue: {device:?}"))?;
         let asks = earliest.is_none_or(|at| wakeup.is_some_and(|wakeup| wakeup <= at));
-        hold(asks, || format!("it is to be woken at {wakeup:?}, too late for {device:?}"))?;
+        hold(asks, || format!("the requested wake-up at {wakeup:?} is too late for {device:?}"))?;
         let began = device.queue.iter().filter(|order| order.began).count();
         let done = device.queue.iter().any(Order::is_done);
-        hold(began <= 1 && !done, || format!("{began} under way, or one never reported as done: {device:?}"))
+        hold(began <= 1 && !done, || {
+            format!(
+                "{began} commands are running at once, or a completed command was never reported: {device:?}"
+            )
+        })
     }
 
     /// Checks that the robot holds no order at the end of a run.
     pub(crate) fn check_rest(&self, robot: &Robot) -> Result<(), Violation> {
         let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
-        hold(held.is_none() && robot.is_idle(), || format!("in the end there is still {held:?}"))
+        hold(held.is_none() && robot.is_idle(), || {
+            format!("at the end of the run, the robot still holds commands: {held:?}")
+        })
     }
 }
 

@@ -26,7 +26,7 @@ pub fn drive_all(block: &InitializationBlock) -> Result<(), Violation> {
     robot.handle(now, LINK, Input::Message(describe), &mut out);
     let described =
         matches!(&out[..], [Output::Send { message: Message::InitializationBlock(b), .. }] if b == block);
-    hold(described, || format!("an initialization request was answered by {out:?}"))?;
+    hold(described, || format!("unexpected answer to an initialization request: {out:?}"))?;
     for device in &block.devices {
         for command in commands(device) {
             send(&mut robot, now, device, command)?;
@@ -74,11 +74,13 @@ fn send(
     let request = ControlRequest::immediate(device.id.clone(), command);
     robot.handle(now, LINK, Input::Message(Message::ControlRequest(request)), &mut out);
     let answered = out.iter().any(|output| is_said_of(output, &device.id));
-    hold(answered, || format!("no answer of `{}`: {out:?}", device.id))?;
+    hold(answered, || format!("no answer from `{}`: {out:?}", device.id))?;
     let concerns = |output| {
         is_said_of(output, &device.id) || matches!(output, Output::Set(set) if set.device == device.id)
     };
-    hold(out.iter().all(concerns), || format!("of another than `{}`: {out:?}", device.id))
+    hold(out.iter().all(concerns), || {
+        format!("unexpected output for a device other than `{}`: {out:?}", device.id)
+    })
 }
 
 fn is_said_of(output: &Output, device: &DeviceId) -> bool {
@@ -89,7 +91,7 @@ fn check_values(robot: &Robot, now: Timestamp<RobotClock>, device: &DeviceId) ->
     for control_type in [ControlType::Position, ControlType::Speed, ControlType::Acceleration] {
         let value = robot.value(device.as_str(), control_type, now);
         hold(value.is_none_or(f64::is_finite), || {
-            format!("`{device}` stands at {value:?} in {control_type}")
+            format!("`{device}` has the value {value:?} for {control_type}, expected a finite number")
         })?;
     }
     Ok(())

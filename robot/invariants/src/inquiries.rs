@@ -23,7 +23,7 @@ impl Judge {
     ) -> Result<(), Violation> {
         let party = self.heard(now, link, inquiry.session.as_ref());
         let [Output::Send { link: to, message: Message::InquiryResponse(answer) }, brought @ ..] = out else {
-            return Err(Violation(format!("{inquiry:?} was answered by {out:?}")));
+            return Err(Violation(format!("unexpected answer to {inquiry:?}: {out:?}")));
         };
         let echoes = *to == link && answer.originate_timestamp == inquiry.timestamp;
         let shows = answer.receive_timestamp == now && answer.timestamp == now;

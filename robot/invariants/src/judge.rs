@@ -102,7 +102,7 @@ impl Judge {
         self.heard.message(now, link, session);
         self.judge_stopped(now, out)?;
         let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
-        hold(held.is_none(), || format!("the robot was seized and still holds {held:?}"))
+        hold(held.is_none(), || format!("the robot was seized but still holds {held:?}"))
     }
 
     /// Judges the outputs of an event, such as a seizure, that stops all devices without a control request.
@@ -119,7 +119,11 @@ impl Judge {
                 {
                     self.reported(now, report)?;
                 }
-                _ => return Err(Violation(format!("a robot that is seized brings {output:?}"))),
+                _ => {
+                    return Err(Violation(format!(
+                        "unexpected output of a robot that was seized: {output:?}"
+                    )));
+                }
             }
         }
         self.check_lost(true)?;
@@ -154,7 +158,9 @@ impl Judge {
                 if *to == link && *r == again);
             let refused_as_busy = is_refused(answer, &ErrorCode::Busy);
             if repeated || !refused_as_busy {
-                return hold(repeated, || format!("{again:?} was to be repeated, found {out:?}"));
+                return hold(repeated, || {
+                    format!("expected the same answer again, {again:?}, found {out:?}")
+                });
             }
         }
         self.judge(now, out, Some(&Asked { link, party, request }))
@@ -177,15 +183,15 @@ impl Judge {
                 (Output::Send { link, message: Message::ControlResponse(answer) }, Some(asked)) => {
                     answers += 1;
                     hold(*link == asked.link, || {
-                        format!("an answer on {link:?} to what came on {:?}", asked.link)
+                        format!("an answer was sent on {link:?}, but its request arrived on {:?}", asked.link)
                     })?;
                     self.answered(now, asked, answer)?;
                 }
-                _ => return Err(Violation(format!("no request asked for {output:?}"))),
+                _ => return Err(Violation(format!("unexpected output that no request caused: {output:?}"))),
             }
         }
         hold(answers == usize::from(asked.is_some()), || {
-            format!("{answers} answers to one request: {out:?}")
+            format!("wrong number of answers, {answers}, expected one for each request: {out:?}")
         })?;
         self.check_lost(asked.is_some())?;
         self.begin_untold(now);
@@ -198,14 +204,18 @@ impl Judge {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
             hold(left.is_none(), || {
-                format!("`{id}` still holds {left:?}, which a lease's end takes with it")
+                format!("`{id}` still holds {left:?}, which should have ended with its lease")
             })?;
         }
         for id in &self.rested {
             let lost = self.lost.get(id).copied().unwrap_or_default();
             let began = self.devices.get(id).is_some_and(|d| d.queue.iter().any(|order| order.began));
             let due = asked || lost.everything;
-            hold(due && !began, || format!("`{id}` was brought to rest by {lost:?}, {began}"))?;
+            hold(due && !began, || {
+                format!(
+                    "`{id}` was brought to rest without a reason: ended leases {lost:?}, command running {began}"
+                )
+            })?;
         }
         let over = self.lost.iter().filter(|(_, lost)| lost.everything).map(|(id, _)| id);
         let goes_on = |id: &&DeviceId| {
@@ -214,14 +224,14 @@ impl Judge {
         };
         match over.into_iter().find(goes_on) {
             None => Ok(()),
-            Some(id) => Err(Violation(format!("`{id}` holds nothing and did not come to rest"))),
+            Some(id) => Err(Violation(format!("`{id}` holds no command but did not come to rest"))),
         }
     }
 
     fn moved(&mut self, now: Now, set: &SetValue) -> Result<(), Violation> {
         let Self { devices, heard, .. } = self;
         let Some(device) = devices.get_mut(&set.device) else {
-            return Err(Violation(format!("no such device: {set:?}")));
+            return Err(Violation(format!("a value was set on an unknown device: {set:?}")));
         };
         hold(set.due <= now, || format!("early by {}: {set:?}", set.due - now))?;
         let Some(step) = set.step else {
@@ -236,7 +246,7 @@ impl Judge {
                 && is_due(order, step, set)
         });
         let Some(at) = found else {
-            return Err(Violation(format!("{set:?} belongs to none of {:?}", device.queue)));
+            return Err(Violation(format!("{set:?} does not belong to any command in {:?}", device.queue)));
         };
         let order = &device.queue[at];
         let setpoint = &order.steps[step].setpoint;
@@ -246,7 +256,7 @@ impl Judge {
             let limits = script.limits.min_value..=script.limits.max_value;
             !order.is_script || custom || limits.contains(&setpoint.value)
         });
-        hold(fits, || format!("a script of `{}` cannot take {set:?}", set.device))?;
+        hold(fits, || format!("a script of `{}` set a value outside its limits: {set:?}", set.device))?;
         let in_time = order.began || now - order.start <= START_LATE_MAX || set.due > order.start;
         hold(in_time, || format!("{} late: {set:?}", now - order.start))?;
         hold_lease(order, heard, set, step)?;
@@ -269,7 +279,7 @@ impl Judge {
     fn reported(&mut self, now: Now, report: &ControlResponse) -> Result<(), Violation> {
         let Self { devices, heard, .. } = self;
         let Some(device) = devices.get_mut(&report.device_id) else {
-            return Err(Violation(format!("a report of no device: {report:?}")));
+            return Err(Violation(format!("a report about an unknown device: {report:?}")));
         };
         if let Some(id) = &report.request_id {
             self.answers.insert(id.clone(), report.clone());
@@ -287,7 +297,7 @@ impl Judge {
             Status::Failed => self.failed(now, report)?,
             _ => false,
         };
-        hold(owed, || format!("a report of nothing that the robot held: {report:?}"))
+        hold(owed, || format!("a report about a command that the robot did not hold: {report:?}"))
     }
 
     fn failed(&mut self, now: Now, report: &ControlResponse) -> Result<bool, Violation> {
@@ -301,7 +311,7 @@ impl Judge {
                 let earlier = lost.from.into_iter().chain(device.falls_from(now, &self.heard));
                 lost.from = earlier.min();
                 let over = lost.everything || lost.from.is_some();
-                hold(over, || format!("a lease ended early: {report:?}, {:?}", device.queue))?;
+                hold(over, || format!("a lease ended early: {report:?}, held commands {:?}", device.queue))?;
                 if let Some(at) = device.released.iter().position(|guard| guard.id == report.request_id) {
                     device.released.remove(at);
                     return Ok(lost.everything);
@@ -338,15 +348,20 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
         Motion::Rest(setpoint) | Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
         Motion::Slow { control_type, to, .. } => (*control_type, *to),
         Motion::Set(_) | Motion::Ramp { .. } => {
-            return Err(Violation(format!("a movement of no step: {set:?}")));
+            return Err(Violation(format!("a movement that does not belong to any step: {set:?}")));
         }
     };
     let limits = device.spec.available_control_types.limits(control_type);
     let within = limits.is_none_or(|limits| (limits.min_value..=limits.max_value).contains(&to));
-    hold(set.request_id.is_none() && within, || format!("the rest of `{}`: {set:?}", set.device))?;
+    hold(set.request_id.is_none() && within, || {
+        format!("invalid movement to bring `{}` to rest: {set:?}", set.device)
+    })?;
     let before = device.ways.get(&control_type).copied();
     hold(sends_home || stays(device, before, set), || {
-        format!("a stop began a movement of `{}`, {before:?}: {set:?}", set.device)
+        format!(
+            "a stop started a new movement of `{}`, which was in the state {before:?}: {set:?}",
+            set.device
+        )
     })?;
     let way = match &set.motion {
         Motion::Slow { from, to, until, .. } => {
@@ -410,7 +425,9 @@ fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Resu
     };
     let from_then = order.running_ends(heard, done);
     let in_force = until_then.into_iter().chain(from_then).all(|end| end > set.due);
-    hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
+    hold(in_force, || {
+        format!("a device moved after its lease had ended at {until_then:?} or {from_then:?}: {set:?}")
+    })
 }
 
 /// Finds the order whose start is reported, and marks it as started. Returns whether there is such an order, and the report is correct. A

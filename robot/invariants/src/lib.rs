@@ -1,5 +1,5 @@
-//! Invariants of a robot under any operations: compares the robot's actions with an independent, simpler model of its duties. The tests
-//! of this crate and the fuzzer play lists of operations. The model uses only the public interface of robots.
+//! Checks the invariants of a robot under any operations: compares the robot's actions with an independent, simpler model of its duties.
+//! The tests of this crate and the fuzzer play lists of operations. The model uses only the public interface of robots.
 //!
 //! The following holds after every operation:
 //! - no value outside the limits or off the granularity is set;
@@ -37,15 +37,15 @@ pub struct Violation(String);
 
 /// Maximum number of consecutive wake-ups. A robot that needs more is considered to never come to rest.
 const WAKEUPS_MAX: usize = 100_000;
-/// Number of links that exist at the same time.
+/// Number of links that are open at the same time.
 const LINKS: usize = 4;
 /// Link of an operator who may seize the robot. It is always up.
 const OPERATOR: LinkId = LinkId(1 << 32);
 /// Start time of a run, in nanoseconds.
 const BEGIN: i64 = 1_000_000_000_000;
 
-/// Description of a robot with a device of each kind: positions that hold or move linearly, rates, a deceleration, a sensor, and custom
-/// control.
+/// Description of a robot with a device of each kind: positions that are held or move linearly, speeds, an acceleration, a sensor, and
+/// custom control.
 const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "arm", "name": "arm", "default_value": 10, "script_queue": 2, "available_control_types": {
      "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
@@ -91,12 +91,12 @@ pub fn ask(request: &ControlRequest) -> Result<(), Violation> {
     bench.judge.check_rest(&bench.robot)
 }
 
-/// Returns a violation with the text of `otherwise` unless the rule holds.
+/// Returns a violation with the text that `otherwise` creates, unless `holds` is true.
 fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation> {
     if holds { Ok(()) } else { Err(Violation(otherwise())) }
 }
 
-/// A robot with its judge, and the links and requests of its peers.
+/// A robot under test, its judge, and the links and requests of its peers.
 struct Bench {
     robot: Robot,
     judge: Judge,
@@ -155,7 +155,7 @@ impl Bench {
             Operation::Break { link } => {
                 let broken = self.link(*link);
                 let out = self.handle(broken, Input::LinkDown)?;
-                hold(out.is_empty(), || format!("a broken link brought {out:?}"))?;
+                hold(out.is_empty(), || format!("unexpected output after a link broke: {out:?}"))?;
                 self.links[usize::from(*link) % LINKS] = LinkId(self.links_opened);
                 self.links_opened += 1;
                 Ok(())
@@ -167,7 +167,7 @@ impl Bench {
         self.links[link as usize % LINKS]
     }
 
-    /// Advances time to `end`, from wake-up to wake-up.
+    /// Advances time to `end`, and wakes the robot at every time that it requests until then.
     fn wait_until(&mut self, end: Timestamp<urrcp::Robot>) -> Result<(), Violation> {
         for _ in 0..WAKEUPS_MAX {
             let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) else {
@@ -211,7 +211,7 @@ impl Bench {
         self.judge.heard(self.now, link, session.as_ref());
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
             if *to == link && r.originate_timestamp == timestamp && r.timestamp == self.now);
-        hold(answered, || format!("an availability request was answered by {out:?}"))
+        hold(answered, || format!("unexpected answer to an availability request: {out:?}"))
     }
 
     /// Checks that a peer without a proven identity cannot seize the robot, and that its attempt renews no lease.
@@ -226,7 +226,7 @@ impl Bench {
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
         let refused = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
             if *to == link && r.status == Status::Failed && r.error.is_some());
-        hold(refused, || format!("a stranger that seizes was answered by {out:?}"))
+        hold(refused, || format!("unexpected answer to an unauthorized attempt to seize the robot: {out:?}"))
     }
 
     /// Seizes the robot as an operator who may do so.
@@ -242,7 +242,9 @@ impl Bench {
         let answer = out.pop();
         let taken = matches!(&answer, Some(Output::Send { link: OPERATOR, message: Message::AvailabilityResponse(r) })
             if r.status == Status::Ok);
-        hold(taken, || format!("who may seize was answered by {answer:?} behind {out:?}"))?;
+        hold(taken, || {
+            format!("unexpected answer to an authorized seizure of the robot: {answer:?}, sent after {out:?}")
+        })?;
         self.judge.seized(self.now, OPERATOR, session.as_ref(), &out)?;
         self.judge.check_settled(self.now, &self.robot)
     }
@@ -262,7 +264,7 @@ impl Bench {
         self.judge.heard(self.now, link, None);
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::InitializationBlock(block) }]
             if *to == link && block == self.robot.block());
-        hold(answered, || format!("an initialization request was answered by {out:?}"))
+        hold(answered, || format!("unexpected answer to an initialization request: {out:?}"))
     }
 
     fn stray(&mut self, link: u8) -> Result<(), Violation> {
@@ -270,7 +272,7 @@ impl Bench {
         let block = Message::InitializationBlock(self.robot.block().clone());
         let out = self.handle(link, Input::Message(block))?;
         self.judge.heard(self.now, link, None);
-        hold(out.is_empty(), || format!("a robot's own message was answered by {out:?}"))
+        hold(out.is_empty(), || format!("unexpected answer to a message that only robots send: {out:?}"))
     }
 
     fn noise(&mut self, link: u8, device: Option<u8>) -> Result<(), Violation> {
@@ -289,6 +291,6 @@ impl Bench {
             }
             _ => false,
         };
-        hold(answered, || format!("noise was answered by {out:?}"))
+        hold(answered, || format!("unexpected answer to bytes that are not a message: {out:?}"))
     }
 }

@@ -27,7 +27,7 @@ pub enum KeyFileError {
         error: io::Error,
     },
     /// Other users can read the key.
-    #[error("{}: other users can read this key (mode {mode:03o}); restrict the access with `chmod 600 {}`", path.display(), path.display())]
+    #[error("{}: other users can read this key (mode {mode:03o}); restrict access with `chmod 600 {}`", path.display(), path.display())]
     NotPrivate {
         /// Path of the file.
         path: PathBuf,
@@ -64,19 +64,19 @@ fn read(path: &Path, file: File, bytes_max: u64) -> Result<Vec<u8>, KeyFileError
     let read = file.take(bytes_max + 1).read_to_end(&mut bytes).map_err(unreadable)?;
     // A truncated file could have a different meaning.
     if u64::try_from(read).is_ok_and(|read| read > bytes_max) {
-        return Err(unreadable(io::Error::other(format!("it has more than {bytes_max} bytes"))));
+        return Err(unreadable(io::Error::other(format!("the file is larger than {bytes_max} bytes"))));
     }
     Ok(bytes)
 }
 
-/// Opens a file only if it is a regular one: reading from a pipe would block.
+/// Opens a file only if it is a regular file, because reading from a pipe would block.
 fn open_regular(path: &Path) -> Result<(File, Stat), KeyFileError> {
     let unreadable = |error: io::Error| KeyFileError::Unreadable { path: path.into(), error };
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK;
     let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| unreadable(error.into()))?;
     let stat = rustix::fs::fstat(&file).map_err(|error| unreadable(error.into()))?;
     if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
-        return Err(unreadable(io::Error::other("it is not a regular file")));
+        return Err(unreadable(io::Error::other("this is not a regular file")));
     }
     Ok((file.into(), stat))
 }
@@ -87,7 +87,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns the number of bytes read from a file with this length and mode, or the error, if at most `bytes_max` bytes are permitted.
+    /// Creates a file of `bytes` bytes with this mode, and reads it as a private file of at most `bytes_max` bytes. Returns the number of
+    /// bytes read, or the error.
     fn read_of(bytes: usize, mode: u32, bytes_max: u64) -> Result<usize, String> {
         let name = format!("downbeat-key-file-{}-{bytes}-{mode:o}", std::process::id());
         let path = std::env::temp_dir().join(name);
@@ -112,7 +113,7 @@ mod tests {
     #[test]
     fn a_file_is_read_whole_or_not_at_all() {
         assert_eq!(read_of(10, 0o600, 10), Ok(10));
-        assert!(read_of(11, 0o600, 10).is_err_and(|error| error.contains("more than 10 bytes")));
+        assert!(read_of(11, 0o600, 10).is_err_and(|error| error.contains("larger than 10 bytes")));
     }
 
     #[test]

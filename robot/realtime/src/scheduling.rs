@@ -91,7 +91,7 @@ impl Scheduling {
             _ => return None,
         };
         Some(format!(
-            "to allow it: {systemd} in a systemd unit, `setcap cap_sys_nice,cap_ipc_lock+ep` on the program, or {limits} in \
+            "to allow it, set {systemd} in the systemd unit, run `setcap cap_sys_nice,cap_ipc_lock+ep` on the program, or add {limits} to \
              /etc/security/limits.conf"
         ))
     }
@@ -192,7 +192,7 @@ fn lock_memory() -> Result<String, String> {
         .is_ok_and(|capabilities| capabilities.effective.contains(CapabilitySet::IPC_LOCK));
     // Under a limit, memory that is needed later could not be allocated at all.
     if let (Some(limit), false) = (limit, capable) {
-        return Err(format!("the limit is {} KiB", limit / 1024));
+        return Err(format!("the limit for locked memory is {} KiB", limit / 1024));
     }
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
     rustix::mm::mlockall(all)

@@ -38,7 +38,7 @@ impl WakeUp {
             let late = lateness(&scheduling);
             Self::of(scheduling, late)
         })?;
-        measuring.join().map_err(|_| io::Error::other("the measuring thread panicked"))
+        measuring.join().map_err(|_| io::Error::other("the thread that measures wake-ups panicked"))
     }
 
     fn of(scheduling: Scheduling, mut late: Vec<Span>) -> Self {

@@ -41,7 +41,7 @@ pub struct Claim {
 
 /// Error for a text that is not a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected `operator NAME ROLES EXPIRES SERIAL`")]
+#[error("invalid claim, expected `operator NAME ROLES EXPIRES SERIAL`")]
 pub struct NoClaim;
 
 impl Claim {

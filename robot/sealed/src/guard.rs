@@ -1,4 +1,4 @@
-//! The guard of a robot that shares a secret with its authority: peers must prove that they have a pass.
+//! Admits peers to a robot that shares a secret with its authority (the issuer of passes). Each peer must prove that it has a pass.
 
 use std::io;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use super::secret::{Pass, Secret};
 use super::stream::{Sealed, accept};
 use downbeat_key_file::KeyFileError;
 
-/// Checks a robot's peers by the robot's secret. Admits operators with a valid pass for this robot.
+/// Checks the peers of a robot by means of the robot's secret. Admits operators with a valid pass for this robot.
 #[derive(Debug)]
 pub struct Guard {
     robot: RobotId,

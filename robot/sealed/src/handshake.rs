@@ -77,7 +77,7 @@ pub enum NotSealed {
     Refused(Refused),
     /// The robot's proof does not match the pass: the robot has a different secret, or none.
     #[error(
-        "the robot does not have the secret of your pass: copy its secret to it, or use the latest passes that `downbeat keys` wrote"
+        "the robot does not have the secret that matches your pass: copy the robot's secret file to it, or use the latest passes that `downbeat keys` wrote"
     )]
     OtherSecret,
     /// The operator has not proven its claim.
@@ -87,10 +87,10 @@ pub enum NotSealed {
 
 fn sentence(refused: &Refused) -> String {
     match refused {
-        Refused::Expired => "your pass has expired: `downbeat keys renew` makes a new one".to_owned(),
-        Refused::Revoked => "your pass is revoked".to_owned(),
+        Refused::Expired => "your pass has expired: make a new one with `downbeat keys renew`".to_owned(),
+        Refused::Revoked => "your pass has been revoked".to_owned(),
         Refused::OtherRobot(own) => format!("it is robot {own}, but your pass is for a different robot"),
-        Refused::Unreadable => "the robot cannot read your claim".to_owned(),
+        Refused::Unreadable => "the robot cannot read the claim in your pass".to_owned(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! A transport for robots that are too small for TLS, based on a secret that a robot shares with its authority. Each side proves that it
 //! knows a key that is derived from the secret. Each record carries a code (HMAC-SHA256), so that the receiver detects records that were
-//! altered, repeated, omitted or reordered. Others can read the messages.
+//! altered, repeated, omitted or reordered. The messages are not encrypted: others can read them.
 //!
 //! `docs/protocol.md` specifies the format, and `docs/security.md` describes the protection. The modules `handshake` and `record` do no
 //! I/O.

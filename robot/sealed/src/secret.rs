@@ -11,9 +11,9 @@ use super::claim::Claim;
 use super::hex;
 use downbeat_key_file::{KeyFileError, read_private};
 
-/// Size in bytes of a secret, of a pass and of a complete code.
+/// Size in bytes of a secret, of a pass and of an untruncated authentication code.
 const BYTES: usize = 32;
-/// Text that precedes the claim when a pass is computed, as a code over both.
+/// Text that precedes the claim when a pass is computed. The pass is an authentication code over this text and the claim.
 const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
 
 /// Text that precedes a list of revoked passes when its code is computed.
@@ -39,17 +39,17 @@ pub enum SecretError {
     #[error(transparent)]
     File(#[from] KeyFileError),
     /// The file does not contain a secret.
-    #[error("{}: expected a file that `downbeat keys secret` wrote: one line of 64 hexadecimal digits, and lines that begin with #", .0.display())]
+    #[error("{}: expected a file that `downbeat keys secret` wrote, with one line of 64 hexadecimal digits and comment lines that begin with #", .0.display())]
     NoSecret(PathBuf),
     /// The file does not contain passes.
-    #[error("{}: expected a file of passes that `downbeat keys` wrote: in each line a robot, a claim and 64 hexadecimal digits", .0.display())]
+    #[error("{}: expected a file of passes that `downbeat keys` wrote, with a robot, a claim and 64 hexadecimal digits in each line", .0.display())]
     NoPasses(PathBuf),
     /// The system provides no random bytes.
     #[error("cannot get random bytes: {0}")]
     NoRandomBytes(#[from] getrandom::Error),
 }
 
-/// A secret that only a robot and its authority know.
+/// A secret that only a robot and its authority (the issuer of passes) know.
 #[derive(Clone)]
 pub struct Secret([u8; BYTES]);
 
@@ -73,7 +73,7 @@ impl Secret {
     /// Reads a secret from its file.
     ///
     /// # Errors
-    /// [`SecretError`], also if other users can read the file.
+    /// [`SecretError`] if the file contains no secret, cannot be read, or can be read by other users.
     pub fn read(path: &Path) -> Result<Self, SecretError> {
         let none = || SecretError::NoSecret(path.into());
         let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
@@ -82,11 +82,11 @@ impl Secret {
         if lines.next().is_none() { Ok(Self(secret)) } else { Err(none()) }
     }
 
-    /// Returns the content of the file of this secret.
+    /// Returns the content of a file that contains this secret.
     #[must_use]
     pub fn text(&self, robot: &RobotId) -> String {
         let robot = super::claim::encoded(robot.as_str());
-        format!("# The secret of robot {robot}. Copy it to this robot alone.\n{}\n", hex::hex(&self.0))
+        format!("# The secret of robot {robot}. Copy it only to this robot.\n{}\n", hex::hex(&self.0))
     }
 
     /// Returns a list of revoked passes with a last line that proves to the robot with this secret that the authority made the list.

@@ -1,4 +1,4 @@
-//! Tests both ends of a connection in one process, and attacks between them.
+//! Tests both ends of a connection in one process, and attacks on the connection.
 
 use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
@@ -299,7 +299,7 @@ fn a_connection_that_ends_within_a_record_has_not_ended_well() {
     }
 }
 
-/// A file that only one test uses; removed when it is dropped.
+/// Path of a file that only one test uses. Dropping this value deletes the file.
 struct Kept(std::path::PathBuf);
 
 impl Kept {
@@ -346,7 +346,7 @@ fn a_secret_is_read_as_it_was_written_and_nothing_else_is_one() {
     let text = secret.text(&"cf 1".parse().unwrap());
     assert_eq!(
         text,
-        format!("# The secret of robot cf%201. Copy it to this robot alone.\n{}\n", "a5".repeat(32))
+        format!("# The secret of robot cf%201. Copy it only to this robot.\n{}\n", "a5".repeat(32))
     );
     let read = Secret::read(&Kept::new("secret", &text).0).unwrap();
     let anna = held(&read, "cf 1/ö", claim(&[Role::Drive]));

@@ -9,7 +9,7 @@ use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 /// The mismatch. A description that cannot be parsed counts as a match.
 pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
-        tracing::warn!(robot = %block.id, "its description is not JSON; its devices are not compared");
+        tracing::warn!(robot = %block.id, "the robot's description is not JSON, so its devices are not checked");
         return Ok(());
     };
     if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {
@@ -19,7 +19,11 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
     for device in block.devices.iter().filter(|device| range(device).is_some()) {
         let Some(told) = devices.get(device.id.as_str()) else {
             let names: Vec<&str> = devices.keys().map(String::as_str).take(20).collect();
-            return Err(format!("it has no device `{}`; its devices are {}", device.id, names.join(", ")));
+            let others = match &names[..] {
+                [] => ", and no other devices either".to_owned(),
+                names => format!("; its devices are {}", names.join(", ")),
+            };
+            return Err(format!("it has no device `{}`{others}", device.id));
         };
         let Some((min, max)) = range(device) else { continue };
         let bound = |key| told.get(key).and_then(Value::as_f64);
@@ -81,6 +85,10 @@ mod tests {
         assert_eq!(
             says(SCHEMA, "arm", 0.0, 1.0),
             Err("it has no device `arm`; its devices are lamp, left".into())
+        );
+        assert_eq!(
+            says(r#"{"devices": {}}"#, "arm", 0.0, 1.0),
+            Err("it has no device `arm`, and no other devices either".into())
         );
         let narrow = says(SCHEMA, "left", -150.0, 100.0);
         assert_eq!(narrow, Err("its device `left` accepts -100 to 100, expected -150 to 100".into()));

@@ -349,7 +349,8 @@ impl Mailbox {
         if state.words.len() < WORDS_MAX {
             state.words.push(word);
         } else {
-            state.fault = Some(format!("it sent more than {WORDS_MAX} reports about scripts at a time"));
+            state.fault =
+                Some(format!("the driver sent more than {WORDS_MAX} reports about scripts at once"));
         }
         drop(state);
         self.changed.notify_all();

@@ -196,7 +196,7 @@ pub trait Driver: Send {
     /// [`DriverError::Refused`] with the reason: only this script ends.
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         let _ = part;
-        Err(DriverError::Refused("this driver does not time scripts".to_owned()))
+        Err(DriverError::Refused("this driver cannot play scripts by itself".to_owned()))
     }
 
     /// Ends a waiting or running script. Returns once the hardware no longer follows the script: after that, none of its values may be
@@ -206,7 +206,7 @@ pub trait Driver: Send {
     /// The reason why the script may still be running. The driver is then connected again.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), DriverError> {
         let _ = cancel;
-        Err(DriverError::Refused("this driver does not time scripts".to_owned()))
+        Err(DriverError::Refused("this driver cannot play scripts by itself".to_owned()))
     }
 
     /// Returns the driver's preferred call rates. Called after each [`Driver::connect`].

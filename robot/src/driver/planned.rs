@@ -134,7 +134,10 @@ impl Worker {
         for PlanReport { plan, at, event } in words {
             let Some(have) = self.given.plans.get(&plan) else {
                 if plan > self.given.last || plan.0 == 0 {
-                    return Err(Lost::Fault(format!("it reported plan {}, which it does not have", plan.0)));
+                    return Err(Lost::Fault(format!(
+                        "the driver reported on plan {}, which it never received",
+                        plan.0
+                    )));
                 }
                 continue;
             };

@@ -76,7 +76,10 @@ struct Declared {
 
 /// One value for all devices, or one value per device id.
 #[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "expected a value for all devices, or an object with one for each device")]
+#[serde(
+    untagged,
+    expecting = "expected one value for all devices, or an object with a value for each device"
+)]
 enum Of<T> {
     All(T),
     Each(BTreeMap<DeviceId, T>),
@@ -132,7 +135,7 @@ impl Program {
         };
         if let Some(device) = block.devices.iter().find(spaced) {
             let message = format!(
-                "the id of device `{}` contains a space or a control character, which the lines of a program do not support",
+                "the id of device `{}` contains a space or a control character, which driver programs do not support",
                 device.id
             );
             return Err(DriverError::Refused(message));
@@ -474,7 +477,7 @@ mod tests {
     #[test]
     fn what_a_program_cannot_declare_is_told() {
         for (json, why) in [
-            (r#"{"lookahead": "film"}"#, "expected a value for all devices"),
+            (r#"{"lookahead": "film"}"#, "expected one value for all devices"),
             (
                 r#"{"lookahead": {"eye": "script"}}"#,
                 "lookahead names `eye`, which is not a moving device of this robot",

@@ -24,7 +24,7 @@ const ANSWER_BYTES_MAX: u64 = 16_384;
 const END_WAIT: Duration = Duration::from_secs(1);
 
 const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
-                          with NS in nanoseconds since 1970, and `assumed` after NS in the first three if the hardware has not shown it";
+                          where NS is the time in nanoseconds since 1970; add `assumed` to the first three if the hardware has not confirmed the event";
 
 /// Parses a program's report about a script that it times by itself.
 fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, PlanEvent)> {
@@ -145,7 +145,7 @@ impl Running {
         let shown = if line.len() > SHOWN_MAX { verb } else { line };
         match write_within(input, format!("{line}\n").as_bytes(), wait, is_over) {
             Ok(true) => {}
-            Ok(false) if is_over() => return Err(format!("had not read `{shown}` when it was ended")),
+            Ok(false) if is_over() => return Err(format!("was stopped before it read `{shown}`")),
             Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Err(self.why_it_reads_no_more()),
             Err(error) => return Err(format!("does not accept input: {error}")),
@@ -159,7 +159,7 @@ impl Running {
                 Err(RecvTimeoutError::Timeout) => left -= slice,
             }
             if is_over() {
-                return Err(format!("had not answered `{shown}` when it was ended"));
+                return Err(format!("was stopped before it answered `{shown}`"));
             }
             if left.is_zero() {
                 return Err(format!("did not answer `{shown}` within {}", seconds(wait)));

@@ -30,7 +30,7 @@ pub enum DriverSpec {
 
 /// Error for a text that does not name a driver.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a driver, expected sim, thrift://host:port or program:COMMAND")]
+#[error("unknown driver `{0}`, expected sim, thrift://host:port or program:COMMAND")]
 pub struct DriverSpecError(String);
 
 impl FromStr for DriverSpec {
@@ -80,7 +80,7 @@ impl DriverSpec {
             Self::Thrift { host, port } => Box::new(ThriftRobot::new(host, *port, block)?),
             #[cfg(not(feature = "thrift"))]
             Self::Thrift { .. } => {
-                return Err(DriverError::Refused("this program is built without Thrift".to_owned()));
+                return Err(DriverError::Refused("this program was built without Thrift support".to_owned()));
             }
             Self::Program { command } => Box::new(Program::new(command, block)?.within(timeouts)),
         })

@@ -47,7 +47,7 @@ impl ThriftRobot {
         };
         if let Some(device) = block.devices.iter().find(|device| driven(device) > 1) {
             let message = format!(
-                "device `{}` has several control types, but a Thrift robot supports only one; leave one of them",
+                "device `{}` has several control types, but a Thrift robot supports only one; remove the others",
                 device.id
             );
             return Err(DriverError::Refused(message));
@@ -99,8 +99,12 @@ impl Driver for ThriftRobot {
         self.ping()?;
         // The robot may be another one than before, or differ from its init file.
         let schema = self.call(Connection::schema)?;
-        described::fits(&schema, &self.block)
-            .map_err(|why| DriverError::Away(format!("{}:{} is another robot: {why}", self.host, self.port)))
+        described::fits(&schema, &self.block).map_err(|why| {
+            DriverError::Away(format!(
+                "the robot at {}:{} is not the expected one: {why}",
+                self.host, self.port
+            ))
+        })
     }
 
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
@@ -166,7 +170,7 @@ fn stream(host: &str, port: u16, wait_max: Option<Duration>) -> io::Result<TcpSt
             Err(error) => last = Some(error),
         }
     }
-    Err(last.unwrap_or_else(|| io::Error::other("the name has no address")))
+    Err(last.unwrap_or_else(|| io::Error::other("the host name does not resolve to an address")))
 }
 
 type Input = TBinaryInputProtocol<TBufferedReadTransport<ReadHalf<TTcpChannel>>>;
@@ -460,7 +464,10 @@ mod tests {
         let (mut robot, _serving) = robot(other);
         let error = robot.connect().unwrap_err();
         assert!(matches!(error, DriverError::Away(_)), "{error:?}");
-        assert!(error.to_string().ends_with("is another robot: its id is `s`, expected `r`"), "{error}");
+        assert!(
+            error.to_string().ends_with("is not the expected one: its id is `s`, expected `r`"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -50,7 +50,7 @@ impl HardwareEvent {
 impl fmt::Display for HardwareEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::There { latency } if latency.is_empty() => f.write_str("the hardware answers"),
+            Self::There { latency } if latency.is_empty() => f.write_str("the hardware is responding"),
             Self::There { latency } => {
                 let of = |(device, latency): (&DeviceId, &Duration)| {
                     format!("{device} {} ms", latency.as_secs_f64() * 1_000.0)
@@ -76,7 +76,7 @@ mod tests {
         let arm = DeviceId::new("arm").unwrap();
         let latency = BTreeMap::from([(arm.clone(), Duration::from_micros(12_500))]);
         for (event, expected) in [
-            (HardwareEvent::There { latency: BTreeMap::new() }, "the hardware answers"),
+            (HardwareEvent::There { latency: BTreeMap::new() }, "the hardware is responding"),
             (
                 HardwareEvent::There { latency },
                 "its driver declares a latency, which is reported to missions: arm 12.5 ms",

@@ -1,4 +1,5 @@
-//! The precise thread: it wakes for due events and for orders, advances the robots, and sends their messages.
+//! The precise thread, which runs the robots of a host: it wakes for due events and for orders, advances the robots, and sends their
+//! messages.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io;
@@ -27,10 +28,11 @@ use crate::robot::Input;
 use downbeat_realtime::{PreciseWait, Woken};
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// Maximum delay with which a sleep of the precise thread may end.
+/// Maximum delay with which an imprecise sleep of the precise thread may end. If a robot moves within this time after the next due event,
+/// the thread waits precisely instead.
 const MOVES_SOON: Span = Span::from_millis(3);
 
-/// An order for the precise thread.
+/// An order for the precise thread, which runs the robots.
 pub(super) enum Order {
     Open {
         robot: usize,
@@ -61,19 +63,19 @@ pub(super) enum Order {
         robot: usize,
         news: News,
     },
-    /// Asks for a sign that the precise thread runs.
+    /// Asks the precise thread to answer, which shows that it is running.
     Beat {
         answer: oneshot::Sender<()>,
     },
-    /// Ends the precise thread, because the host ends.
+    /// Ends the precise thread, because the host is shutting down.
     Stop,
 }
 
-/// The precise thread, the channel that sends it its robots, and the scheduling that it was granted.
+/// The precise thread, the channel on which it receives its robots, and the scheduling that it was granted.
 pub(super) type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
 
-/// Starts the precise thread before it has robots, so that nothing moves if the required scheduling is not granted. The thread ends with
-/// [`Order::Stop`], when every handle is dropped, or when it receives no robots.
+/// Starts the precise thread (which will run the robots) before it has robots, so that nothing moves if the required scheduling is not
+/// granted. The thread ends with [`Order::Stop`], when every handle is dropped, or when it receives no robots.
 pub(super) fn prepared_thread(
     realtime: Realtime,
     told: Told,
@@ -97,10 +99,10 @@ pub(super) fn prepared_thread(
     Ok((thread, ready, scheduling))
 }
 
-/// Receivers of the precise thread's reports.
+/// The destinations to which the precise thread reports: log, owners, refusals and metrics.
 pub(super) struct Told {
     pub(super) log: Option<Log>,
-    /// Senders of the owner's changes, one per robot.
+    /// Channels that publish the current owner of each robot, one per robot.
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
     pub(super) refusals: Arc<Refusals>,
     pub(super) figures: Arc<Figures>,
@@ -113,7 +115,7 @@ enum Change {
     Closed,
 }
 
-/// State of the precise thread.
+/// State of the precise thread, which runs the robots.
 struct Executor {
     robots: Vec<Body>,
     wakeups: BTreeSet<(Timestamp<HostTime>, usize)>,
@@ -169,8 +171,8 @@ impl Executor {
         }
     }
 
-    /// Whether a robot moves at `at`, the next instant with a due event, or so soon after `at` that the thread should wait precisely. If
-    /// false, only simulated networks deliver messages.
+    /// Whether a robot moves at most [`MOVES_SOON`] after `at`, the instant of the next due event. The thread must then wait precisely.
+    /// If not, the due events are only deliveries of messages on simulated networks.
     fn moves_soon(&self, at: Timestamp<HostTime>) -> bool {
         let by = at + MOVES_SOON;
         let mut due = self.wakeups.iter().take_while(|(at, _)| *at <= by);
@@ -258,8 +260,7 @@ impl Executor {
         }
     }
 
-    /// Moves every due robot first, and then sends the messages of all of them, so that no robot's start waits for another robot's
-    /// report.
+    /// Moves all due robots first, and sends their messages only afterwards, so that no robot's start waits for another robot's report.
     fn advance_due(&mut self) {
         let now = self.clock.now();
         if let Some((at, _)) = self.wakeups.first() {
@@ -306,7 +307,8 @@ impl Executor {
         self.send_out();
     }
 
-    /// Reports an owner change. Runs before the response that grants the claim is sent: messages after it may be treated as the owner's.
+    /// Publishes a change of the robot's owner. This happens before the response that grants the claim is sent, so that the messages that
+    /// follow the response can be treated as the owner's.
     fn tell_owner(&mut self, robot: usize) {
         let (changes, claimant) = self.robots[robot].machine().last_claimant();
         if self.owner_changes[robot] != changes {
@@ -399,8 +401,7 @@ mod tests {
         }
     }
 
-    /// Starts hosts from this thread, with each kind of scheduling request. Returns, for each, the request, the granted scheduling, and
-    /// whether the host runs.
+    /// Starts one host for each kind of scheduling request. Returns the request, the granted scheduling, and whether the host runs.
     fn granted() -> Vec<(Realtime, Scheduling, bool)> {
         let start = |realtime| {
             let options = HostOptions::default().with_realtime(realtime);
@@ -413,7 +414,8 @@ mod tests {
         [Realtime::Off, Realtime::Auto, Realtime::Required].map(start).to_vec()
     }
 
-    /// Like `granted`, without the permission to request real-time scheduling, unless a resource limit permits it.
+    /// Like `granted`, but without the capability `CAP_SYS_NICE`. Real-time scheduling is then granted only if a resource limit permits
+    /// it.
     fn granted_less() -> Vec<(Realtime, Scheduling, bool)> {
         let thread = std::thread::spawn(|| {
             let found = rustix::thread::capabilities(None).unwrap();

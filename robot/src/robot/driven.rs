@@ -226,7 +226,7 @@ impl Robot {
             if value.is_finite() {
                 Ok(value)
             } else {
-                Err(format!("the reading of the hardware is {value}, expected a finite number"))
+                Err(format!("the hardware returned the reading {value}, expected a finite number"))
             }
         });
         match reading {
@@ -252,7 +252,7 @@ impl Robot {
             return;
         }
         for index in 0..self.devices.len() {
-            self.stop(now, index, "the edge was ended", Rest::InPlace, out);
+            self.stop(now, index, "the edge was shut down", Rest::InPlace, out);
         }
     }
 

@@ -10,7 +10,7 @@ use crate::ids::LinkId;
 use urrcp::Role;
 
 impl Robot {
-    /// Returns the error if the peer of this link may not send this message.
+    /// Returns an error if the peer of this link may not send this message, and `None` if it may.
     pub(super) fn forbids(&self, link: LinkId, message: &Message) -> Option<ControlError> {
         self.lacks(link, Role::needed_for(message)).or_else(|| match message {
             Message::AvailabilityRequest(request) if request.seize => self.forbids_seizing(link, request),
@@ -18,8 +18,8 @@ impl Robot {
         })
     }
 
-    /// Returns the error if the peer of this link may not seize the robot, although it may claim it. On a connection without proofs, no
-    /// peer may seize.
+    /// Returns an error if the peer of this link may not seize the robot. The permission to claim a robot does not include the permission
+    /// to seize it. Without a proof of identity, no peer may seize.
     fn forbids_seizing(&self, link: LinkId, request: &AvailabilityRequest) -> Option<ControlError> {
         if request.session.is_none() {
             let message = "`seize` requires a `session`";
@@ -27,7 +27,7 @@ impl Robot {
         }
         if self.parties.proof(link).is_none() {
             let message = format!(
-                "`{}` can be seized only by an operator with the role seize; this connection proves no role",
+                "`{}` can be seized only by an operator with the role seize; this connection has not proven any role",
                 self.block.id
             );
             tracing::warn!(robot = %self.block.id, "refused: {message}");
@@ -36,7 +36,7 @@ impl Robot {
         self.lacks(link, &[Role::Seize])
     }
 
-    /// Returns the error if the peer of this link may not send this control request.
+    /// Returns an error if the peer of this link may not send this control request, and `None` if it may.
     pub(super) fn forbids_request(&self, link: LinkId, request: &ControlRequest) -> Option<ControlError> {
         self.lacks(link, Role::needed_for_request(request))
     }
@@ -47,21 +47,14 @@ impl Robot {
             return None;
         }
         let needed: Vec<&str> = needed.iter().map(|role| role.as_str()).collect();
-        let message = format!(
-            "{} may {}, but this requires the role {}",
-            proof.name,
-            if proof.roles.iter().next().is_some() {
-                proof.roles.to_string()
-            } else {
-                "do nothing".to_owned()
-            },
-            needed.join(" or ")
-        );
+        let roles = proof.roles.in_words();
+        let message =
+            format!("{} has {roles}, but this requires the role {}", proof.name, needed.join(" or "));
         tracing::warn!(robot = %self.block.id, "refused: {message}");
         Some(ControlError::new(ErrorCode::Forbidden, message))
     }
 
-    /// Answers a forbidden message. The message renews no lease and claims nothing, and its response is not kept.
+    /// Answers a forbidden message with an error. The message renews no lease and claims nothing, and its response is not remembered.
     pub(super) fn answer_forbidden(
         &self,
         now: Now,

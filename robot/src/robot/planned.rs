@@ -34,7 +34,8 @@ impl Robot {
         for id in self.plans.to_hand_over(now) {
             let Some(plan) = self.plans.get_mut(id) else { continue };
             if let Some(late) = plan.handover_late(now) {
-                let why = format!("the edge was delayed: a step should have been handed over {late} ago");
+                let why =
+                    format!("the edge was delayed: a step should have been sent to the driver {late} ago");
                 self.fail_plan(now, id, ControlError::new(ErrorCode::Late, why), out);
             } else if let Some(part) = plan.hand_over(id, now) {
                 self.moved = true;
@@ -71,7 +72,7 @@ impl Robot {
             return if self.plans.has_been(id) {
                 Ok(())
             } else {
-                Err(format!("plan {} was never handed over", id.0))
+                Err(format!("plan {} was never sent to the driver", id.0))
             };
         };
         let (done_before, device) = (plan.steps_done, plan.device().clone());
@@ -79,7 +80,7 @@ impl Robot {
         self.log_steps(id, at, done_before, out);
         let failed = match event {
             PlanEvent::Failed(reason) => Some(format!("the hardware failed {{place}}: {reason}")),
-            PlanEvent::Cancelled => Some("the hardware stopped by itself {place}".to_owned()),
+            PlanEvent::Cancelled => Some("the hardware stopped on its own {place}".to_owned()),
             PlanEvent::AssumedDone => Some(unknown_fate(&device, "did not observe its end")),
             PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::Done | PlanEvent::AssumedRunning => None,
         };
@@ -228,7 +229,7 @@ impl Robot {
                 }
                 _ => {
                     let message =
-                        format!("the hardware may not have played it to its end: {}", error.message);
+                        format!("the hardware may not have played the script to its end: {}", error.message);
                     ControlError::new(error.code.clone(), message)
                 }
             };

@@ -29,14 +29,15 @@ use crate::peer::Peer;
 use crate::refusals::Reason;
 use crate::robot::Input;
 
-/// Maximum length in bytes of a line or frame from a peer that does not own the robot, which belongs to another session.
+/// Maximum length in bytes of a line or frame from a peer while the robot belongs to a session other than the peer's.
 pub(super) const STRANGERS_LINE_MAX: usize = 64 * 1024;
-/// Maximum length in bytes of a line or frame that any peer may send while the robot belongs to no session. Longer ones need a
-/// permission; a host grants two at a time.
+/// Maximum length in bytes of a line or frame from any peer while the robot belongs to no session. Longer ones need a permission, of
+/// which a host grants two at a time.
 pub(super) const FREE_LINE_MAX: usize = 1024 * 1024;
 /// Length in bytes above which a message is decoded on another thread, so that no other connection waits for it.
 const READ_AT_ONCE: usize = 64 * 1024;
-/// Maximum time of a pause before the budget is checked again, because the peer's standing may change meanwhile.
+/// Maximum pause in reading before the peer's budget is checked again. The budget may change in the meantime, for example because the
+/// peer now owns the robot.
 const PAUSE_MAX: Duration = Duration::from_millis(100);
 /// Maximum time for which a peer may accept no bytes before it is disconnected.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
@@ -48,13 +49,14 @@ const WRITE_BATCH: usize = 64 * 1024;
 /// Time limits for peers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
-    /// Silence after which a connection is closed if another one waits for its place: the peer may no longer exist.
+    /// Silence after which a connection may be closed to give its place to another one, because the peer may no longer exist.
     pub(super) silence: Duration,
     /// Time limit for the first complete message.
     pub(super) first_message: Duration,
-    /// Time limit from the first byte to the end of a message, for a peer that does not own the robot.
+    /// Time limit from the first byte of a message to its end, for a peer that does not own the robot.
     pub(super) message: Duration,
-    /// Time limit for the decision on a pending claim. When it expires, the line after the claim is treated as too long.
+    /// Maximum time to wait for the robot's decision on the peer's claim. After that, the line that follows the claim is treated as too
+    /// long.
     pub(super) claim: Duration,
 }
 
@@ -95,8 +97,8 @@ impl Shared {
     }
 }
 
-/// Carries both directions until either side closes the connection or another connection needs its place. While the peer does not read,
-/// no further input is read from it.
+/// Transfers messages in both directions until either side closes the connection, or another connection needs its place. While the peer
+/// does not read the robot's messages, the robot's side reads no further input.
 pub(super) async fn carry<R, W>(
     (reader, writer): (R, W),
     peer: Peer,
@@ -256,11 +258,11 @@ struct Reading<'a, R> {
     speaks_for: Option<Claimant>,
     /// Whether the peer has sent a complete message.
     spoke: bool,
-    /// Deadline of the first message, or of a message that is incomplete.
+    /// Deadline of the first message, or of the message that is incomplete. `None` if there is no deadline.
     until: Option<Instant>,
     /// Permission for the incomplete message to exceed [`FREE_LINE_MAX`].
     long_line: Option<OwnedSemaphorePermit>,
-    /// Maximum length in bytes of a line with such a permission: no command for the robot is longer.
+    /// Maximum length in bytes of a line that has permission to exceed [`FREE_LINE_MAX`]. No command for the robot is longer.
     longest: usize,
     /// Whether messages of the robot are being written to the peer.
     being_written: &'a AtomicBool,
@@ -291,7 +293,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         }
     }
 
-    /// Waits while the peer does not read its messages. Extends a message's deadline by the waiting time.
+    /// Waits while the peer does not read the robot's messages. Extends the deadline of the peer's message by the waiting time.
     async fn until_written(&mut self) {
         let is_written = || !self.being_written.load(Ordering::Relaxed);
         if is_written() {
@@ -311,7 +313,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.shared.host.refusals().note(reason, &self.peer);
     }
 
-    /// Reads input. Returns `None` at the end of the input, or if a message has taken too long.
+    /// Reads bytes from the peer, and returns their number. Returns `None` at the end of the input, or if a message has taken too long.
     async fn read(&mut self, bytes: &mut [u8]) -> io::Result<Option<usize>> {
         let reading = self.reader.read(bytes);
         let n = match self.until {
@@ -327,7 +329,8 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         Ok(Some(n).filter(|n| *n > 0))
     }
 
-    /// Sets the deadline. A peer that owns the robot has none: a script may be long and a connection slow, and leases detect silence.
+    /// Sets the deadline of the incomplete message. A peer that owns the robot has no deadline: its script may be long and its connection
+    /// slow, and leases detect silence.
     fn set_deadline(&mut self) {
         let owns = self.standing() == Standing::Owner;
         if owns {
@@ -362,7 +365,8 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.until = self.until.map(|until| until + begin.elapsed());
     }
 
-    /// Sets the maximum length of the incomplete message.
+    /// Limits the length of the incomplete message, depending on whether the robot belongs to the peer's session, to another session or
+    /// to none.
     async fn bound_line(&mut self) {
         let Some(front) = self.decoder.front().filter(|front| front.bytes > STRANGERS_LINE_MAX) else {
             return;
@@ -392,8 +396,8 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.decoder.set_limit(limit);
     }
 
-    /// Decodes the next message. Peers that do not own the robot take turns. A long message is decoded on another thread, so that no
-    /// other connection waits.
+    /// Decodes the next message. Of the peers that do not own the robot, one at a time may decode. A long message is decoded on another
+    /// thread, so that no other connection waits.
     async fn decode(&mut self) -> Option<Decoded> {
         let Some(front) = self.decoder.front().filter(|front| front.whole) else {
             return self.decoder.next_message();
@@ -483,12 +487,13 @@ fn session_of(message: &Message) -> Option<&SessionId> {
     }
 }
 
-/// Whether the message claims the robot.
+/// Whether the message claims the robot for a session.
 fn claims(message: &Message) -> bool {
     !matches!(message, Message::Inquiry(_)) && session_of(message).is_some()
 }
 
-/// Whether a connection without a place may send this message: a stop, or a request for the robot's description or availability.
+/// Whether a peer may send this message even if its connection has none of the limited places. This applies to a stop, and to a request
+/// for the robot's description or availability.
 fn needs_no_place(message: &Message) -> bool {
     match message {
         Message::InitializationRequest(_) => true,

@@ -400,7 +400,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX)).await;
     assert_eq!(malformed(&stranger.soon().await), None);
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
-    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
+    assert_eq!(malformed(&stranger.soon().await), Some("the line is too long, expected at most 65536 bytes"));
     // A refused claim permits no longer line.
     stranger.write(b"{\"availability_request\": {\"session\": \"other\"}}\n").await;
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
@@ -408,7 +408,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
         malformed(&stranger.soon().await),
         Some("`r0` belongs to another session until that session ends")
     );
-    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
+    assert_eq!(malformed(&stranger.soon().await), Some("the line is too long, expected at most 65536 bytes"));
     // Once the session is over, the robot is free again, even if no other session has claimed it since.
     drop(owner);
     until(|| host.figures().robots()[0].connections() == 1).await;
@@ -433,7 +433,7 @@ async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
     let mut third = Peer::connected(address).await;
     let long = padded(ASK, 2 * FREE_LINE_MAX);
     third.write(&long).await;
-    assert_eq!(malformed(&third.soon().await), Some("a line longer than 1048576 bytes"));
+    assert_eq!(malformed(&third.soon().await), Some("the line is too long, expected at most 1048576 bytes"));
     assert_eq!(host.refusals().count(Reason::LongLine), 1);
     drop(peers);
     until(|| strangers.long_lines_left() == 2).await;
@@ -447,7 +447,10 @@ async fn a_free_robot_reads_no_line_longer_than_its_longest_command_from_a_stran
     let (host, address) = served_as(host, PATIENT).await;
     let mut stranger = Peer::connected(address).await;
     stranger.write(&padded(ASK, FREE_LINE_MAX + 2)).await;
-    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 1048576 bytes"));
+    assert_eq!(
+        malformed(&stranger.soon().await),
+        Some("the line is too long, expected at most 1048576 bytes")
+    );
     assert_eq!(host.handle().strangers().long_lines_left(), 2);
 }
 
@@ -636,9 +639,11 @@ async fn a_connection_speaks_for_the_session_that_it_named_in_whatever_message()
     let Message::InquiryResponse(response) = asking.soon().await else { panic!() };
     assert_eq!(response.status, Status::Ok);
     let mut stranger = Peer::connected(address).await;
-    for (peer, expected) in
-        [(&mut owner, None), (&mut asking, None), (&mut stranger, Some("a line longer than 65536 bytes"))]
-    {
+    for (peer, expected) in [
+        (&mut owner, None),
+        (&mut asking, None),
+        (&mut stranger, Some("the line is too long, expected at most 65536 bytes")),
+    ] {
         peer.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
         assert_eq!(malformed(&peer.soon().await), expected);
     }

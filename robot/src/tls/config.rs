@@ -1,4 +1,5 @@
-//! The TLS configuration of both sides: only version 1.3, and only connections whose peer has a certificate of the authority.
+//! The TLS configuration of robots and operators: only version 1.3, and only connections whose peer has a certificate that the authority
+//! issued.
 
 use std::sync::Arc;
 
@@ -13,7 +14,7 @@ use rustls::{ClientConfig, RootCertStore, ServerConfig};
 use super::credentials::Credentials;
 use super::revoked::List;
 
-/// DNS name in the certificate of every robot, which a client requests. It marks the certificate as that of a robot. A URI in the
+/// DNS name in the certificate of every robot. A client requests this name, which marks the certificate as that of a robot. A URI in the
 /// certificate identifies the robot, because ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
 pub const SERVER_NAME: &str = "robot.urrcp.invalid";
 

@@ -29,14 +29,14 @@ pub enum CredentialsError {
         path: PathBuf,
     },
     /// A part of the identity is missing or damaged.
-    #[error("{}: {what}; expected a file that `downbeat keys` wrote: a private key, its certificate, and the authority's", path.display())]
+    #[error("{}: {what}; expected a file that `downbeat keys` wrote, with a private key, its certificate and the authority's certificate", path.display())]
     Incomplete {
         /// Path of the file.
         path: PathBuf,
         /// Name of the missing or damaged part.
         what: String,
     },
-    /// The certificate names no robot and no operator.
+    /// The certificate contains no valid name of a robot or an operator.
     #[error("{}: {error}", path.display())]
     Nameless {
         /// Path of the file.

@@ -1,4 +1,4 @@
-//! The guard of a robot that admits only peers with a proven identity.
+//! The guard of a robot, which admits only peers with a proven identity.
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,8 +15,8 @@ use super::revoked::{CurrentList, List, Revoked};
 
 const NO_LIST: &str = "the robot has no list of revoked keys; start it with --revoked";
 
-/// Proves a robot's identity and checks that of its peers. Admits operators with a certificate that the robot's authority issued and that
-/// is not revoked.
+/// Proves a robot's identity to its peers, and checks theirs. Admits operators with a certificate that the robot's authority issued and
+/// that is not revoked.
 #[derive(Debug)]
 pub struct Guard {
     own: Credentials,
@@ -29,7 +29,7 @@ impl Guard {
     /// Creates a guard for a robot with this identity.
     ///
     /// # Errors
-    /// A sentence with the reason why the identity or the list cannot be used.
+    /// A sentence with the reason why the identity or the list of revoked certificates cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
         let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
         let list = revoked.as_ref().map(CurrentList::list);

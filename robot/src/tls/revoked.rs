@@ -14,7 +14,7 @@ use super::config::provider;
 use super::credentials::CredentialsError;
 use downbeat_key_file::{Versioned, Watched, read_regular};
 
-/// Maximum size of a list in bytes. An entry takes about 40 bytes.
+/// Maximum size of a list of revoked certificates, in bytes. An entry takes about 40 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
 /// A file with a list of revoked certificates (RFC 5280, section 5). If the file is replaced, the new list applies within a second, even

@@ -38,7 +38,7 @@ impl Credentials {
     }
 }
 
-/// Verifies signed statements: those of operators of one authority are valid.
+/// Verifies signed statements. A statement is valid if the authority that the witness trusts has certified its signer as an operator.
 #[derive(Debug)]
 pub struct Witness {
     own: Credentials,
@@ -46,7 +46,7 @@ pub struct Witness {
 }
 
 impl Witness {
-    /// Creates a witness that trusts the authority of `own`, except for the certificates in `revoked`.
+    /// Creates a witness that trusts all certificates of the authority of `own`, except for those in `revoked`.
     ///
     /// # Errors
     /// A sentence with the reason why the files cannot be used.
@@ -62,7 +62,7 @@ impl Witness {
         client_verifier(&self.own, list.as_deref())
     }
 
-    /// Returns the witness's own identity, whose authority it trusts.
+    /// Returns the witness's own identity. The witness trusts the authority that issued it.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
         self.own.identity()

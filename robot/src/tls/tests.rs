@@ -16,7 +16,7 @@ use tokio_rustls::TlsConnector;
 use super::*;
 use urrcp::Role;
 
-/// A folder that only one test uses; removed when it is dropped.
+/// A folder that only one test uses. It is deleted when this value is dropped.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -46,7 +46,7 @@ impl Folder {
         Revoked::in_file(&self.copy("none-revoked.pem", "revoked.pem")).unwrap()
     }
 
-    /// Replaces the list of revoked certificates.
+    /// Replaces the list of revoked certificates with the fixture.
     fn revoke(&self, fixture: &str) {
         self.copy(fixture, "revoked.pem");
     }
@@ -149,7 +149,7 @@ fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_dama
     assert!(witness.who(b"stop", &signed).is_ok());
 }
 
-/// Connects with this identity to a robot. Returns the operator that the robot sees, or the error.
+/// Connects to a robot with the identity `client`. Returns the name of the operator that the robot sees, or the error.
 async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

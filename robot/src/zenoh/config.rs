@@ -22,7 +22,7 @@ pub enum NetworkError {
     },
     /// The Zenoh session could not be opened.
     #[error(
-        "cannot join the Zenoh network of {named}: {why}; check its `connect/endpoints`, and that a router listens there"
+        "cannot join the Zenoh network of {named}: {why}; check `connect/endpoints` in the configuration, and that a router listens there"
     )]
     NotJoined {
         /// Name of the configuration for people: the path of its file, or `the configuration`.

@@ -38,7 +38,7 @@ pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) ->
 
 async fn open(network: &Network, key: &Key, (haste, audiences): (Urgency, &[u32])) -> io::Result<Stream> {
     let nobody = || {
-        let why = "no robot answers at this key: the robot or a router on the way is not running";
+        let why = "no robot answers at this key: the robot, or a router on the path to it, is not running";
         io::Error::new(io::ErrorKind::NotFound, why)
     };
     if network.tokens().have_left(key) {
@@ -118,7 +118,8 @@ impl Opening {
         let frames = session.declare_subscriber(from.clone());
         let own = move |sample: Sample| {
             if link_of(&sample) == Some(link) && pipe.receive(&sample).is_some() {
-                pipe.lock().break_off("the robot refers to a published script, which only schedulers may do");
+                pipe.lock()
+                    .break_off("the robot referred to a published script, but only schedulers may do that");
             }
         };
         let frames = frames.callback(own).wait()?;

@@ -46,7 +46,7 @@ impl Hearing {
         let mut subscribers = self.subscribers.lock().unwrap_or_else(PoisonError::into_inner);
         for audience in audiences {
             if subscribers.len() >= SUBSCRIBERS_MAX {
-                return Err("too many audiences".into());
+                return Err("too many groups that share published scripts".into());
             }
             if let Entry::Vacant(new) = subscribers.entry(*audience) {
                 new.insert(self.subscriber(session, *audience)?);

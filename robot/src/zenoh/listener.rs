@@ -192,7 +192,9 @@ impl Links {
                 network.declare(haste, move |session| match hearing.begin(session, &audiences) {
                     Ok(()) => answer.send(Some(HEARS)),
                     Err(error) => {
-                        tracing::debug!("cannot receive what is published for several robots: {error}");
+                        tracing::debug!(
+                            "cannot receive scripts that are published for several robots: {error}"
+                        );
                         answer.send(None);
                     }
                 })
@@ -214,7 +216,7 @@ impl Answer {
         let Self { query, robot } = self;
         let reply = query.reply(query.key_expr().clone().into_owned(), robot);
         if let Err(error) = reply.attachment(hears).wait() {
-            tracing::debug!("cannot answer a connection by Zenoh: {error}");
+            tracing::debug!("cannot answer a connection request over Zenoh: {error}");
         }
     }
 }

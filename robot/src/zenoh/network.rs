@@ -142,7 +142,12 @@ impl Network {
         let session = match opened.recv() {
             Ok(Ok(session)) => session,
             Ok(Err(error)) => return Err(NetworkError::not_joined(named, error.as_ref())),
-            Err(_) => return Err(NetworkError::not_joined(named, "its thread has ended")),
+            Err(_) => {
+                return Err(NetworkError::not_joined(
+                    named,
+                    "the thread that opens the Zenoh session has ended",
+                ));
+            }
         };
         let id = session.zid().to_string();
         let another = session.clone();

@@ -76,7 +76,10 @@ impl Networks {
             match Network::with(config.clone(), named, Arc::clone(opening)) {
                 Ok(network) => *last = Last { network, robots: 0, ..*last },
                 Err(error) => {
-                    tracing::warn!("more than {} robots share a Zenoh session: {error}", last.robots_max);
+                    tracing::warn!(
+                        "more than {} robots now share one Zenoh session, because another session cannot be opened: {error}",
+                        last.robots_max
+                    );
                     // Does not try again: detecting that a network does not answer takes ten seconds.
                     last.robots_max = usize::MAX;
                 }

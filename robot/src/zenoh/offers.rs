@@ -125,7 +125,7 @@ impl Offers {
             let put =
                 session.put(target.declared(session), text).congestion_control(CongestionControl::Block);
             if let Err(error) = put.wait() {
-                tracing::debug!("cannot publish a script, so robots will request it: {error}");
+                tracing::debug!("cannot publish a script, so each robot will request it: {error}");
             }
         });
         Some(Text { hash, bytes })
@@ -146,7 +146,7 @@ impl Offers {
 
     /// Records that a robot did not receive a published text. After that, this robot receives complete messages.
     pub(super) fn note_lack(&self, key: &Key) {
-        tracing::debug!("the robot at {key} does not receive what is published for several robots");
+        tracing::debug!("the robot at {key} does not receive scripts that are published for several robots");
         self.lock().without.insert(key.to_string());
     }
 

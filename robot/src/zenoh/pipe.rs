@@ -124,7 +124,7 @@ impl Pipe {
         let part = frame.part.map_or(0, |part| u64::from(part.count));
         self.came = self.came.saturating_add(count(frame.content.len())).saturating_add(part);
         let too_much = self.came.saturating_sub(self.read) > count(WINDOW) || frame.read > self.written;
-        too_much.then(|| "the peer exceeds its send limit".to_owned())
+        too_much.then(|| "the peer exceeded its send limit".to_owned())
     }
 
     /// Inserts a published text at all places in the input that wait for it.
@@ -141,7 +141,7 @@ impl Pipe {
             }
         }
         if !fits {
-            self.fail("the peer refers to more of a script than exists");
+            self.fail("the peer referred to a part of a script that does not exist");
         }
         self.wake();
     }
@@ -416,7 +416,7 @@ mod tests {
         assert!(read(&mut far, 1).unwrap().is_err(), "nothing of it is kept");
         let mut far = Pipe::default();
         receive(&mut far, &Frame { number: 0, read: 1, next: Next::More, part: None, content: b"" }.encode());
-        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeds its send limit"));
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeded its send limit"));
         let mut far = Pipe::default();
         receive(&mut far, b"GET / HTTP/1.1");
         assert!(read(&mut far, 1).unwrap().unwrap_err().contains("not a frame"));
@@ -490,7 +490,7 @@ mod tests {
         let part = Part { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
         let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
         receive(&mut far, &frame.encode());
-        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeds its send limit"));
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeded its send limit"));
     }
 
     #[test]

@@ -91,9 +91,9 @@ impl Tokens {
         let seen = async move { told?.wait_for(|there| *there).await.ok().map(drop) };
         match tokio::time::timeout(SEEN_WITHIN, seen).await {
             Ok(Some(())) => Ok(following),
-            Ok(None) => Err(io::Error::new(io::ErrorKind::ConnectionReset, "it has just disconnected")),
+            Ok(None) => Err(io::Error::new(io::ErrorKind::ConnectionReset, "the peer has just disconnected")),
             Err(_) => {
-                let why = "its liveliness token is not visible: access control has to allow it";
+                let why = "the peer's liveliness token is not visible: allow it in the Zenoh access control";
                 Err(io::Error::other(why))
             }
         }

@@ -813,7 +813,7 @@ static bool timestamp_at(int object, const char *key, struct text *echo, int64_t
     leap = (v[0] % 4 == 0 && v[0] % 100 != 0) || v[0] % 400 == 0;
     if (at != end || v[1] < 1 || v[1] > 12 || v[2] < 1 || v[2] > days[v[1] - 1] + (v[1] == 2 && leap) || v[3] > 23
         || v[4] > 59 || v[5] > 59 || offset[0] > 23 || offset[1] > 59) {
-        fault = "a timestamp is not RFC 3339";
+        fault = "invalid timestamp, expected RFC 3339";
         return false;
     }
     y = v[0] - (v[1] < 3); /* years begin in March, so that a leap day is the last one */
@@ -925,7 +925,7 @@ static void read_request(int body)
             r->content_hash[i] = (char)(hash.bytes[i] | 0x20); /* digits have this bit already */
         r->content_hash[i] = '\0';
         if (i < 64)
-            fault = "content_hash is not 64 hexadecimal digits";
+            fault = "invalid content_hash, expected 64 hexadecimal digits";
     }
     r->script = is(&r->control_type, "script");
     r->sensor = is(&r->control_type, "sensor");
@@ -1062,7 +1062,7 @@ static bool refused(const struct request *r, struct device *device, int body, in
     if (r->until <= now)
         return refuse(a, "late", "pending_until has passed");
     if (r->has_sent && r->sent <= device->taken_back)
-        return refuse(a, "cancelled", "it was cancelled by a stop that arrived before it");
+        return refuse(a, "cancelled", "the command was cancelled by a stop that arrived before it");
     end = start + r->steps[r->size - 1].offset;
     for (i = 0; i < MAX_QUEUE; i++) {
         const struct command *other = &device->commands[i];
@@ -1441,16 +1441,19 @@ static void malformed(struct link *link, int64_t received, int body, const char 
 /* Whether the peer has one of these roles; else `message` names the missing role. Called before the message renews or claims anything. */
 static bool permits(struct link *link, unsigned needed, char *message, size_t room)
 {
-    char may[64], takes[64], *comma;
+    char own[64], takes[64], *comma;
+    const char *has;
     if (!secured || link->sealed.roles & needed)
         return true;
-    sealed_roles(link->sealed.roles, may);
+    sealed_roles(link->sealed.roles, own);
+    has = !own[0] ? "no role" : strchr(own, ',') ? "the roles " : "the role ";
     sealed_roles(needed, takes);
     while ((comma = strstr(takes, ", ")) != NULL) {
         memmove(comma + 4, comma + 2, strlen(comma + 2) + 1);
         memcpy(comma, " or ", 4);
     }
-    snprintf(message, room, "operator %.*s may %s, but this requires the role %s", (int)link->sealed.name_length, link->sealed.name, may, takes);
+    snprintf(message, room, "operator %.*s has %s%s, but this requires the role %s", (int)link->sealed.name_length,
+        link->sealed.name, has, own, takes);
     fprintf(stderr, "refused: %s\n", message);
     return false;
 }
@@ -1534,7 +1537,7 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         return;
     }
     if (seize && !secured) { /* it would take a robot from another session without proof of identity */
-        availability(link, received, has_sent ? &sent : NULL, "forbidden", "the robot can be seized only by an operator with the role seize; this connection proves no role");
+        availability(link, received, has_sent ? &sent : NULL, "forbidden", "the robot can be seized only by an operator with the role seize; this connection has not proven any role");
         return;
     }
     if (!permits(link, has_session ? ROLE_DRIVE : inquiry ? ROLE_OBSERVE | ROLE_DRIVE : ROLE_OBSERVE | ROLE_DRIVE | ROLE_STOP,
@@ -1631,7 +1634,7 @@ static void link_open(struct link *link)
         link->ready = link->out_length;
         link_flush(link);
         if (!good) {
-            fprintf(stderr, "a peer that does not prove its identity is disconnected\n");
+            fprintf(stderr, "a peer was disconnected because it did not prove its identity\n");
             link->dead = true;
         }
         if (s->raw_length == before)
@@ -1640,7 +1643,7 @@ static void link_open(struct link *link)
     while (!link->dead && (got = sealed_open(s, link->in + link->in_length, sizeof link->in - 1 - link->in_length)) > 0)
         link->in_length += (size_t)got;
     if (got < 0) {
-        fprintf(stderr, "a connection with altered, repeated or reordered data is closed\n");
+        fprintf(stderr, "a connection was closed because its data was altered, repeated or reordered\n");
         link->dead = true;
     }
 }

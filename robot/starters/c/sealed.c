@@ -67,7 +67,7 @@ bool sealed_read_secret(struct sealed_key *key, const char *path)
     }
     fclose(file);
     if (stat.st_mode & 077)
-        fprintf(stderr, "%s: other users can read this secret; restrict the access with `chmod 600 %s`\n", path, path);
+        fprintf(stderr, "%s: other users can read this secret; restrict access with `chmod 600 %s`\n", path, path);
     else if (!found || !good)
         fprintf(stderr, "%s: expected a file that `downbeat keys secret` wrote\n", path);
     return found && good && !(stat.st_mode & 077);
@@ -150,14 +150,13 @@ static unsigned roles_of(const char *text, size_t length)
     return roles;
 }
 
-const char *sealed_roles(unsigned roles, char *what)
+void sealed_roles(unsigned roles, char *what)
 {
     int i;
     what[0] = '\0';
     for (i = 0; i < 4; i++)
         if (roles & 1u << i)
             sprintf(what + strlen(what), "%s%s", what[0] ? ", " : "", ROLES[i]);
-    return what[0] ? what : "do nothing";
 }
 
 static bool refuse(char *answer, const char *why, const char *more)

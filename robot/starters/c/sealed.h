@@ -57,7 +57,7 @@ int sealed_open(struct sealed *s, char *bytes, size_t room);
 /* Writes the head of a record with these bytes. */
 void sealed_seal(struct sealed *s, const void *bytes, size_t length, unsigned char *head);
 
-/* The roles as text for users; `what` has room for 64 characters. */
-const char *sealed_roles(unsigned roles, char *what);
+/* The roles as text for users, empty without roles; `what` has room for 64 characters. */
+void sealed_roles(unsigned roles, char *what);
 
 #endif

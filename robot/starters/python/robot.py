@@ -62,14 +62,14 @@ OF_ROBOTS = ["availability_response", "initialization_block", "control_response"
 
 def instant(value):
     match = re.fullmatch(r"([0-9-]{10}T[0-9:]{8})(?:\.([0-9]{1,9}))?(Z|[+-][0-9]{2}:[0-9]{2})", value.upper())
-    need(match, "a timestamp is not RFC 3339")
+    need(match, "invalid timestamp, expected RFC 3339")
     at = datetime.datetime.fromisoformat(match[1] + match[3].replace("Z", "+00:00")).timestamp()
     need(abs(at) < 9.2e9, "a timestamp lies too far away")
     return int(at) * 10**9 + int((match[2] or "").ljust(9, "0"))
 
 def finite(digits):
     value = float(digits)
-    need(math.isfinite(value), "a number is not finite")
+    need(math.isfinite(value), "expected a finite number")
     return int(value) if value.is_integer() and abs(value) < 1e16 else value
 def unique(pairs):
     need(len(dict(pairs)) == len(pairs), "duplicate key in an object")
@@ -260,8 +260,8 @@ class Robot:
     def take(self, link, line, received):
         """The answer to a line."""
         def permit(*roles):                     # for a peer with a proven identity; before anything is renewed or claimed
-            told = ", ".join(sorted(link.roles or [])) or "do nothing"
-            need(link.roles is None or link.roles & set(roles), f"{link.who} may {told}, but this requires the role {' or '.join(roles)}", "forbidden")
+            told = f"the role{'s' * (len(link.roles) > 1)} {', '.join(sorted(link.roles))}" if link.roles else "no role"
+            need(link.roles is None or link.roles & set(roles), f"{link.who} has {told}, but this requires the role {' or '.join(roles)}", "forbidden")
         name, body, result, kind = None, None, {"status": "OK"}, "availability_response"
         try:
             message = JSON.decode(line := line.decode())
@@ -280,7 +280,7 @@ class Robot:
             permit(*["drive"] if not asks else ["observe", "drive"] if name == "inquiry" else ["observe", "drive", "stop"])
             if name == "availability_request" and request.seize:
                 need(request.session, "`seize` requires a `session`")
-                need(link.roles is not None, "the robot can be seized only by an operator with the role seize; this connection proves no role", "forbidden")
+                need(link.roles is not None, "the robot can be seized only by an operator with the role seize; this connection has not proven any role", "forbidden")
                 permit("seize")
             if name != "initialization_request":
                 request.session = own(link, request.session)

@@ -9,25 +9,25 @@ use downbeat_mission::clock::{ClockEstimate, ClockReading, ClockSample};
 pub(super) const ALL: [Requirement; 4] = [
     Requirement {
         name: "availability",
-        demands: "An availability request is answered `OK`, with its own timestamp as originate_timestamp and receive_timestamp not after timestamp.",
+        demands: "An availability request is answered with `OK`; originate_timestamp repeats the timestamp of the request, and receive_timestamp is no later than timestamp.",
         section: "Availability",
         check: availability,
     },
     Requirement {
         name: "initialization",
-        demands: "An initialization request is answered with a block within all limits, always the same one.",
+        demands: "An initialization request is always answered with the same block, which is within all limits.",
         section: "Initialization",
         check: initialization,
     },
     Requirement {
         name: "skip-handshake",
-        demands: "A control request as the very first message of a connection is served.",
+        demands: "A control request is processed even if it is the very first message of a connection.",
         section: "Framing (D)",
         check: skip_handshake,
     },
     Requirement {
         name: "clock",
-        demands: "The robot's clock agrees with this machine's to 50 ms, plus the uncertainty of the exchange.",
+        demands: "The robot's clock agrees with that of this machine to within 50 ms, plus the uncertainty of the exchange.",
         section: "Availability",
         check: clock,
     },
@@ -45,11 +45,11 @@ fn availability(trial: &Trial) -> Checked {
         let response = &heard.message;
         let request = urrcp_timestamp(&sent);
         if response.originate_timestamp.map(|at| at.to_string()) != request {
-            let expected = "originate_timestamp exactly as the request's timestamp, to the last digit";
+            let expected = "originate_timestamp equal to the timestamp of the request, to the last digit";
             return Err(differs(&sent, &heard.text, expected));
         }
         if response.receive_timestamp > response.timestamp {
-            return Err(differs(&sent, &heard.text, "receive_timestamp not after timestamp"));
+            return Err(differs(&sent, &heard.text, "receive_timestamp no later than timestamp"));
         }
     }
     pass()
@@ -74,7 +74,7 @@ fn initialization(trial: &Trial) -> Checked {
             && !limits.contains(value)
         {
             return wrong(format!(
-                "default_value of `{id}` within {} to {}",
+                "default_value of `{id}` from {} to {}",
                 limits.min_value, limits.max_value
             ));
         }
@@ -86,7 +86,7 @@ fn initialization(trial: &Trial) -> Checked {
         });
         if let Some(stray) = stray.next() {
             return wrong(format!(
-                "control_types of the script of `{id}` among its own but script and sensor, not {stray}"
+                "script control_types of `{id}` that the device itself supports, other than script and sensor; found {stray}"
             ));
         }
     }
@@ -134,8 +134,8 @@ fn clock(trial: &Trial) -> Checked {
         Ok(measured)
     } else {
         Err(Unmet::Failed(format!(
-            "{SAMPLES} exchanges show the robot's clock {measured}; expected at most {CLOCK_OFFSET_MAX} beyond that: \
-         discipline it by NTP, or check with `--clock measured`; all other requirements were checked by its own clock"
+            "according to {SAMPLES} exchanges, the robot's clock is {measured}; expected an offset of at most {CLOCK_OFFSET_MAX} plus this uncertainty: \
+         synchronize the clock by NTP, or use `--clock measured`; all other requirements were checked by the robot's own clock"
         )))
     }
 }

@@ -19,13 +19,13 @@ pub(super) const ALL: [Requirement; 8] = [
     },
     Requirement {
         name: "repeated-request",
-        demands: "A request that is repeated with its request_id is answered again and not executed again.",
+        demands: "A request that is repeated with the same request_id is answered again and not executed again.",
         section: "Asked twice (D)",
         check: repeated_request,
     },
     Requirement {
         name: "repeated-refusal",
-        demands: "A refused request that is repeated is refused again with the same code, even if its content differs.",
+        demands: "A refused request that is repeated is refused again with the same error code, even if its content differs.",
         section: "Asked twice (D)",
         check: repeated_refusal,
     },
@@ -37,25 +37,25 @@ pub(super) const ALL: [Requirement; 8] = [
     },
     Requirement {
         name: "no-request-id",
-        demands: "A request without request_id is served.",
+        demands: "A request without a request_id is processed.",
         section: "Control response",
         check: no_request_id,
     },
     Requirement {
         name: "content-hash",
-        demands: "A content_hash is checked: the right one is echoed, a wrong one refused with `malformed`.",
+        demands: "The content_hash of a request is checked: a correct one is repeated in the response, a wrong one is refused with `malformed`.",
         section: "Content hash (D)",
         check: content_hash,
     },
     Requirement {
         name: "session",
-        demands: "A robot that belongs to a session refuses others with `busy` and does not name its session; once that session has ended, the next one gets the robot.",
+        demands: "A robot that belongs to a session refuses other sessions with `busy` and does not reveal the name of its session; once that session has ended, another session can claim the robot.",
         section: "Sessions and connections (D)",
         check: session,
     },
     Requirement {
         name: "session-reading",
-        demands: "If a session to which the robot does not belong requests a reading from a device that is not a sensor, the request is refused with `busy` and ends nothing.",
+        demands: "If another session requests a reading from a device that is not a sensor, the robot refuses the request with `busy` and does not end any command.",
         section: "Sensors",
         check: session_reading,
     },
@@ -86,7 +86,7 @@ fn request_id(trial: &Trial) -> Checked {
             return Err(differs(
                 &asked.text,
                 &heard.text,
-                "the request's request_id in every response to it",
+                "the request_id of the request in every response to it",
             ));
         }
     }
@@ -100,11 +100,11 @@ fn repeated_request(trial: &Trial) -> Checked {
     line.ask_again(pending)?;
     let again = line.nth_answer(pending, 1)?;
     if again.message.status != Status::Accepted {
-        let sent = format!("the same again: {}", line.asked(pending).text);
+        let sent = format!("the same request again: {}", line.asked(pending).text);
         return Err(differs(
             &sent,
             &again.text,
-            "`Accepted`, as before: it is answered again and not executed again",
+            "`Accepted`, as before: the request is answered again and not executed again",
         ));
     }
     let cancel = line.ask(&trial.cancel(actor))?;
@@ -123,7 +123,7 @@ fn repeated_request(trial: &Trial) -> Checked {
         n => Err(differs(
             &format!("twice: {}", asked.text),
             &format!("{n} reports `Started`"),
-            "one: it is executed only once",
+            "only one such report, because the request is executed only once",
         )),
     }
 }
@@ -140,7 +140,7 @@ fn repeated_refusal(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Number of ended requests whose responses a robot has to keep.
+/// Number of ended requests whose responses a robot has to remember, to answer repeated requests.
 const KEPT: usize = 256;
 
 fn kept_answers(trial: &Trial) -> Checked {
@@ -184,12 +184,12 @@ fn kept_answers(trial: &Trial) -> Checked {
         _ => again.message.status != Status::Failed,
     };
     if same {
-        Ok(format!("remembered after {} others", KEPT - 1))
+        Ok(format!("the answer was still remembered after {} other requests", KEPT - 1))
     } else {
         Err(differs(
-            &format!("again, after {} others: {}", KEPT - 1, line.asked(first).text),
+            &format!("the same request again, after {} others: {}", KEPT - 1, line.asked(first).text),
             &again.text,
-            &format!("its final response: {}", heard.last().map_or("", |last| &last.text)),
+            &format!("the same final response as before: {}", heard.last().map_or("", |last| &last.text)),
         ))
     }
 }
@@ -213,7 +213,7 @@ fn content_hash(trial: &Trial) -> Checked {
         let ticket = line.held(&request)?;
         let accepted = line.answer(ticket)?;
         if accepted.message.content_hash != request.content_hash {
-            let expected = "the content_hash that the robot computed: the same";
+            let expected = "the same content_hash, as computed by the robot";
             return Err(differs(&line.asked(ticket).text, &accepted.text, expected));
         }
         let cancel = line.ask(&trial.cancel(actor))?;
@@ -253,7 +253,10 @@ pub(super) fn claim(
 fn session_reading(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     if actor.device.available_control_types.sensor().is_some() {
-        return Err(not_applicable(format!("`{}` can be read", actor.device.id)));
+        return Err(not_applicable(format!(
+            "`{}` is also a sensor, so it may answer requests for a reading",
+            actor.device.id
+        )));
     }
     let name = format!("{}/owner", trial.fresh_id());
     let owner = SessionId::new(name).map_err(|error| not_applicable(error.to_string()))?;
@@ -266,7 +269,7 @@ fn session_reading(trial: &Trial) -> Checked {
         differs(
             &line.asked(ticket).text,
             &more.text,
-            "nothing: requests of others end nothing of the owner's",
+            "nothing: requests from other sessions must not end the owner's commands",
         )
     });
     // The session owns the held command, so only that session can withdraw it.
@@ -289,7 +292,7 @@ fn session(trial: &Trial) -> Checked {
         return Err(differs(&sent, &taken.text, "status `OK`: the robot is free"));
     }
     let holder = format!(
-        "status `Failed` with error code `busy`, and not the name `{ours}`, which is a secret of the session that owns the robot"
+        "status `Failed` with error code `busy`, without the name `{ours}`, which only the owning session may know"
     );
     let told = |error: Option<&urrcp::ControlError>| {
         error.is_some_and(|e| e.code == ErrorCode::Busy && !e.message.contains(ours.as_str()))
@@ -316,7 +319,8 @@ fn session(trial: &Trial) -> Checked {
             return pass();
         }
         if trial.now() >= until {
-            let expected = format!("status `OK`: the connection of `{ours}` is closed and nothing is held");
+            let expected =
+                format!("status `OK`: the connection of `{ours}` is closed and the robot holds no commands");
             return Err(differs(&sent, &answer.text, &expected));
         }
         trial.pause(urrcp::Span::from_millis(50))?;

@@ -14,37 +14,37 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "inquiry",
-        demands: "An inquiry is answered `OK` with the clock of the exchange and one entry for each request, in their order, `unknown` for those that never came.",
+        demands: "An inquiry is answered with `OK`, the times of the exchange, and one entry for each request in the same order, with `unknown` for a request that never arrived.",
         section: "Inquiry (D)",
         check: inquiry,
     },
     Requirement {
         name: "inquiry-held",
-        demands: "A request that was accepted and has not begun is reported as `held`, with the instant at which it will start.",
+        demands: "An accepted request that has not started is reported as `held`, with the time at which it will start.",
         section: "Inquiry (D)",
         check: held,
     },
     Requirement {
         name: "inquiry-running",
-        demands: "A request that has begun is reported as `running`, with the number of steps done and, once it has started, the instant of its start.",
+        demands: "A request whose start time has come is reported as `running`, with the number of completed steps and, once it has actually started, the time of that start.",
         section: "Inquiry (D)",
         check: running,
     },
     Requirement {
         name: "inquiry-ended",
-        demands: "A request that has ended is reported as `ended`: with its actual start and its number of steps, or with the reason why it was refused or ended early.",
+        demands: "A request that has ended is reported as `ended`, with its actual start and the number of completed steps, or with the reason why it was refused or ended early.",
         section: "Inquiry (D)",
         check: ended,
     },
     Requirement {
         name: "inquiry-hash",
-        demands: "The answer to an inquiry has the content_hash of what was accepted.",
+        demands: "The answer to an inquiry contains the content_hash of the accepted request.",
         section: "Inquiry (D)",
         check: hash,
     },
     Requirement {
         name: "inquiry-room",
-        demands: "The room of a device is script_queue less the commands that have not ended, and a device that the robot does not have is omitted.",
+        demands: "The room of a device is script_queue minus the number of commands that have not ended; a device that the robot does not have is omitted.",
         section: "Inquiry (D)",
         check: room,
     },
@@ -56,13 +56,13 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-no-effect",
-        demands: "An inquiry about held requests and about requests that were never sent starts, cancels and ends nothing.",
+        demands: "An inquiry about held requests and about requests that were never sent does not start, cancel or end any command.",
         section: "Inquiry (D)",
         check: no_effect,
     },
     Requirement {
         name: "inquiry-session",
-        demands: "An inquiry claims nothing, and if the robot belongs to another session, the answer contains only the error `busy`.",
+        demands: "An inquiry does not claim the robot; if the robot belongs to another session, the answer contains only the error `busy`.",
         section: "Inquiry (D)",
         check: session,
     },
@@ -74,19 +74,19 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "lease-inquiry-pending",
-        demands: "pending_lease shortens the lease of named requests that have not begun, lengthens none, and does not affect other requests.",
+        demands: "pending_lease can shorten, but not extend, the lease of named requests that have not started; it does not affect other requests.",
         section: "Inquiry (D)",
         check: pending_lease,
     },
     Requirement {
         name: "lease-inquiry-until",
-        demands: "pending_until ends the lease of each named request that has not begun, at that instant of the robot's clock, whatever the robot receives until then; an inquiry with another instant moves it, and an inquiry without one leaves it unchanged.",
+        demands: "pending_until ends the lease of each named request that has not started by that time on the robot's clock, whatever the robot receives in the meantime; a later inquiry with a different time changes it, and one without a time leaves it unchanged.",
         section: "Inquiry (D)",
         check: pending_until,
     },
     Requirement {
         name: "lease-until",
-        demands: "A control request that has not begun by its pending_until ends at that instant, whatever the robot receives until then; a request that arrives after its pending_until is refused with `late`.",
+        demands: "A control request that has not started by its pending_until ends at that time, whatever the robot receives in the meantime; a request that arrives after its pending_until is refused with `late`.",
         section: "Inquiry (D)",
         check: own_pending_until,
     },
@@ -110,7 +110,7 @@ fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestR
     let inquired = line.inquire(&about(&[request]))?;
     match inquired.response.requests.as_slice() {
         [report] => Ok((inquired.clone(), report.clone())),
-        _ => Err(inquired.differs("one entry, about the requested one")),
+        _ => Err(inquired.differs("exactly one entry, about the request that the inquiry names")),
     }
 }
 
@@ -143,18 +143,19 @@ fn inquiry(trial: &Trial) -> Checked {
     }
     if said.originate_timestamp != timestamp || said.receive_timestamp > said.timestamp {
         return Err(inquired
-            .differs("its timestamp as originate_timestamp, and receive_timestamp not after timestamp"));
+            .differs("originate_timestamp equal to the timestamp of the inquiry, and receive_timestamp no later than timestamp"));
     }
     let (from, until) = (before.message.timestamp, after.message.receive_timestamp);
     if said.receive_timestamp < from || said.timestamp > until {
-        let expected = format!("times from {from} to {until}, those of the exchanges before and after it");
+        let expected =
+            format!("times from {from} to {until}, between the exchanges before and after the inquiry");
         return Err(inquired.differs(&expected));
     }
     let unknown = ids.into_iter().map(|id| RequestReport::new(id, RequestState::Unknown));
     if said.requests.iter().cloned().eq(unknown) {
         pass()
     } else {
-        Err(inquired.differs("only the three requests in their order, each `unknown`"))
+        Err(inquired.differs("only the three requests in the same order, each `unknown`"))
     }
 }
 
@@ -177,7 +178,7 @@ fn held(trial: &Trial) -> Checked {
         pass()
     } else {
         Err(inquired.differs(
-            "start_timestamp: timestamp + time_offset_to_start of the request; no event_timestamp, no error",
+            "start_timestamp equal to timestamp + time_offset_to_start of the request, no event_timestamp and no error",
         ))
     }
 }
@@ -211,7 +212,7 @@ fn running(trial: &Trial) -> Checked {
     let in_time = late.is_some_and(|late| late >= Span::ZERO && late <= trial.options().tolerance);
     if !in_time || !is_at(report.start_timestamp, &request) {
         return Err(inquired.differs(&format!(
-            "start_timestamp of the request, and event_timestamp at most {} later",
+            "the start_timestamp of the request, and an event_timestamp at most {} later",
             trial.options().tolerance
         )));
     }
@@ -219,7 +220,7 @@ fn running(trial: &Trial) -> Checked {
     if !matches!(report.steps_done, Some(1 | 2)) || report.error.is_some() {
         return Err(inquired.differs("steps_done 1, or 2 after 400 ms, and no error"));
     }
-    Ok(late.map(|late| format!("started {late} after its time")).unwrap_or_default())
+    Ok(late.map(|late| format!("started {late} after the scheduled time")).unwrap_or_default())
 }
 
 fn running_ahead_of_its_first_value(trial: &Trial) -> Result<(), Unmet> {
@@ -238,7 +239,7 @@ fn running_ahead_of_its_first_value(trial: &Trial) -> Result<(), Unmet> {
     };
     if !right {
         return Err(inquired.differs(&format!(
-            "event_timestamp from {start} to {tolerance} later, and none before the script has started"
+            "an event_timestamp from {start} to {tolerance} later, and none before the script has started"
         )));
     }
     reaches(trial, &mut line, &request, RequestState::Ended).map(|_| ())
@@ -252,7 +253,8 @@ fn ended(trial: &Trial) -> Checked {
     line.held(&completed)?;
     let (inquired, report) = reaches(trial, &mut line, &completed, RequestState::Ended)?;
     if report.event_timestamp.is_none() || report.steps_done != Some(1) || report.error.is_some() {
-        return Err(inquired.differs("event_timestamp, steps_done 1 and no error: it completed"));
+        return Err(inquired
+            .differs("an event_timestamp, steps_done 1 and no error, because the request was completed"));
     }
     let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
     let ticket = line.ask(&refused)?;
@@ -277,7 +279,9 @@ fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCod
         Ok(())
     } else {
         let code = code.map(|code| format!(" with error code `{code}`")).unwrap_or_default();
-        Err(inquired.differs(&format!("why it ended{code}, and no event_timestamp: it never started")))
+        Err(inquired.differs(&format!(
+            "the reason why it ended{code}, and no event_timestamp, because it never started"
+        )))
     }
 }
 
@@ -309,7 +313,9 @@ fn room(trial: &Trial) -> Checked {
         let right = matches!(inquired.response.devices.as_slice(),
             [told] if told.device_id == device && told.room == room);
         if !right {
-            return Err(inquired.differs(&format!("room {room} of `{device}`, which holds {held}, alone")));
+            return Err(inquired.differs(&format!(
+                "only an entry for `{device}`, with room {room} (held commands: {held})"
+            )));
         }
         if held == 0 {
             line.held(&trial.pending(actor))?;
@@ -348,7 +354,7 @@ fn stays_held(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unme
         None => Ok(()),
         Some(more) => {
             let sent = format!("{}, then an inquiry about it", line.asked(ticket).text.trim_end());
-            Err(differs(&sent, &more.text, "nothing: an inquiry cannot act"))
+            Err(differs(&sent, &more.text, "nothing: an inquiry must not affect any command"))
         }
     }
 }
@@ -386,7 +392,9 @@ fn session(trial: &Trial) -> Checked {
     // The stranger has only inquired and claimed nothing, so another session may claim the robot.
     let request = ControlRequest { session: Some(ours.clone()), ..trial.pending(actor) };
     line.held(&request).map_err(|unmet| {
-        unmet.within(|why| format!("`{theirs}` has sent an inquiry, which claims nothing: {why}"))
+        unmet.within(|why| {
+            format!("`{theirs}` had only sent an inquiry, which must not claim the robot: {why}")
+        })
     })?;
     let judged = told_nothing(&mut stranger, &request, theirs);
     // The session owns the held command, so only that session can withdraw it.
@@ -424,11 +432,11 @@ fn renews(trial: &Trial) -> Checked {
         line.listen(trial.soon(PERIOD.as_nanos() / 3_000_000), |_| false)?;
     }
     match line.asked(ticket).heard.get(1) {
-        None => Ok(format!("held for 900 ms by inquiries, with a lease of {PERIOD}")),
+        None => Ok(format!("inquiries kept the command alive for 900 ms, with a lease of {PERIOD}")),
         Some(more) => Err(differs(
             &format!("{}, then an inquiry every 100 ms", line.asked(ticket).text.trim_end()),
             &more.text,
-            "nothing: each of them renews the lease",
+            "nothing: each inquiry renews the lease",
         )),
     }
 }
@@ -449,8 +457,8 @@ fn pending_lease(trial: &Trial) -> Checked {
     let latest = PERIOD + trial.slack();
     line.listen(sent + latest, |line| line.asked(ticket).heard.len() > 1)?;
     if line.asked(ticket).heard.len() < 2 {
-        let asked = format!("{}, after one with a pending_lease of {PERIOD}", longer.sent.trim_end());
-        let expected = format!("the end of that lease {PERIOD} later, and at most {latest}");
+        let asked = format!("{}, after an inquiry with a pending_lease of {PERIOD}", longer.sent.trim_end());
+        let expected = format!("the end of that lease after {PERIOD}, at the latest after {latest}");
         return Err(differs(&asked, "nothing", &expected));
     }
     other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
@@ -477,8 +485,8 @@ fn pending_until(trial: &Trial) -> Checked {
     let over = trial.now() + PERIOD + trial.slack();
     line.listen(over, |line| line.asked(ticket).heard.len() > 1)?;
     if let Some(more) = line.asked(ticket).heard.get(1) {
-        let sent = format!("{}, after one with an earlier pending_until", moving.sent.trim_end());
-        return Err(differs(&sent, &more.text, "nothing: an inquiry with a later pending_until moves it"));
+        let sent = format!("{}, after an inquiry with an earlier pending_until", moving.sent.trim_end());
+        return Err(differs(&sent, &more.text, "nothing: the later pending_until replaces the earlier one"));
     }
     // Read the clock first, so that a pause between these two lines does not make the robot appear early.
     let until = trial.now() + PERIOD;
@@ -522,9 +530,9 @@ fn ends_at(
     match line.asked(ticket).heard.get(1) {
         None => Err(differs(sent, "nothing", "the end of the request at `pending_until`")),
         Some(end) if end.at < until - ROUNDING => {
-            Err(differs(sent, &end.text, "the end of the request at `pending_until`, and no earlier"))
+            Err(differs(sent, &end.text, "the end of the request at `pending_until`, not before"))
         }
-        Some(end) => Ok(format!("ended {} after that instant", end.at - until)),
+        Some(end) => Ok(format!("the request ended {} after its `pending_until`", end.at - until)),
     }
 }
 

@@ -14,85 +14,85 @@ use super::trial::{LATER_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "lease-pending",
-        demands: "A pending command ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
+        demands: "A pending command ends with `Failed` and `link_lost` once the server has been silent for stop_condition, not before and not much later.",
         section: "The lease",
         check: lease_pending,
     },
     Requirement {
         name: "lease-running",
-        demands: "A running command ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
+        demands: "A running command ends with `Failed` and `link_lost` once the server has been silent for stop_condition.",
         section: "The lease",
         check: lease_running,
     },
     Requirement {
         name: "lease-silence",
-        demands: "Silence before a start or a step counts after it: if the lease that follows would have expired by then, the script does not start, or the step is not done.",
+        demands: "Silence before a start or a step also counts towards the lease that applies after it: if that lease would already have expired, the script does not start, or the step is not executed.",
         section: "The lease",
         check: lease_silence,
     },
     Requirement {
         name: "lease-queued",
-        demands: "A command that waits behind a running script ends with its own lease, and the running one continues under its own.",
+        demands: "When the lease of a command that waits behind a running script expires, that command ends, and the running script continues under its own lease.",
         section: "The lease",
         check: lease_queued,
     },
     Requirement {
         name: "lease-pair",
-        demands: "A stop_condition of `pending` and `running: null` no longer holds once the command has started.",
+        demands: "A stop_condition with a `pending` limit and `running: null` no longer applies once the command has started.",
         section: "The lease",
         check: lease_pair,
     },
     Requirement {
         name: "lease-step",
-        demands: "A step's own stop_condition replaces the script's while this step is the current one.",
+        demands: "A step's own stop_condition replaces that of the script while this step is the current one.",
         section: "The lease",
         check: lease_step,
     },
     Requirement {
         name: "lease-left-on",
-        demands: "A speed that continues after its command has ended stays under the lease.",
+        demands: "A speed that continues after its command has ended remains subject to the lease of that command.",
         section: "The lease",
         check: lease_left_on,
     },
     Requirement {
         name: "lease-left-on-kept",
-        demands: "Commands that do not drive a continuing speed leave it under its lease.",
+        demands: "Commands that do not change a continuing speed do not change its lease.",
         section: "The lease",
         check: lease_left_on_kept,
     },
     Requirement {
         name: "lease-renewal",
-        demands: "Every message of the server renews the lease, availability requests among them.",
+        demands: "Every message from the server renews the lease, including availability requests.",
         section: "The lease",
         check: lease_renewal,
     },
     Requirement {
         name: "lease-noise",
-        demands: "A line that is not a message renews nothing.",
+        demands: "A line that is not a message does not renew the lease.",
         section: "The lease",
         check: lease_noise,
     },
     Requirement {
         name: "lease-link-down",
-        demands: "A broken connection counts as silence: the lease expires, and a server that reconnects and repeats its request_id receives `Failed`, `link_lost`.",
+        demands: "A broken connection counts as silence: the lease expires, and a server that reconnects and repeats its request receives `Failed` with `link_lost`.",
         section: "The lease",
         check: lease_link_down,
     },
     Requirement {
         name: "lease-two-links",
-        demands: "Messages of another party on its own connection do not renew the lease.",
+        demands: "Messages from another party on a different connection do not renew the lease.",
         section: "Sessions and connections (D)",
         check: lease_two_links,
     },
     Requirement {
         name: "lease-stranger",
-        demands: "Refused requests of a session to which the robot does not belong renew no lease of the owner.",
+        demands: "Refused requests from a session that does not own the robot do not renew the owner's leases.",
         section: "Sessions and connections (D)",
         check: lease_stranger,
     },
 ];
 
-/// The lease in tests that wait for the end of a lease.
+/// The duration of the lease in checks that wait for its expiry.
 pub(super) const PERIOD: Span = Span::from_millis(300);
 /// Maximum drift between the clocks of two machines during `PERIOD`.
 const EARLY_MAX: Span = Span::from_millis(3);
@@ -101,17 +101,17 @@ fn short(request: ControlRequest) -> ControlRequest {
     request.leased(PERIOD.as_millis_f64())
 }
 
-/// A script that starts soon and lasts so long that only the expiry of its lease ends it.
+/// Creates a script that starts soon and lasts so long that only the expiry of its lease ends it.
 fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
     Ok(trial.there_and_back(trial.scripted()?, 4_000.0).starting_in(100.0))
 }
 
-/// Waits in silence for the report that the lease has expired, and judges the time of expiry.
+/// Sends nothing, waits for the report that the lease has expired, and judges the time of expiry.
 fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
     runs_out_after(trial, line, ticket, ticket)
 }
 
-/// Like [`runs_out`], but the lease counts from the request `last`, which was sent after the request `ticket`.
+/// Like [`runs_out`], but the lease of the request `ticket` counts from the later request `last`.
 fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) -> Checked {
     let answered = line.answer(last)?;
     let sent = line.asked(last).sent;
@@ -122,11 +122,11 @@ fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) 
     let silent = lost.at - sent;
     let (earliest, latest) = (PERIOD - EARLY_MAX, PERIOD + trial.slack());
     if silent >= earliest && silent <= latest {
-        Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed"))
+        Ok(format!("`link_lost` after {silent} of silence; the lease allows {PERIOD}"))
     } else {
         let came = format!("{} after {silent} of silence", lost.text);
         let expected = format!(
-            "it after {PERIOD}, at most {latest}: stop_condition, the measured round trip, and the tolerance"
+            "this report after {PERIOD}, at the latest after {latest}, which is stop_condition plus the measured round trip and the tolerance"
         );
         Err(differs(&asked.text, &came, &expected))
     }
@@ -167,11 +167,11 @@ fn lease_silence(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Silence of the server before a start or a step, in milliseconds. Even half of it exceeds the lease.
+/// Time in milliseconds during which the server is silent before a start or a step. Even half of it exceeds the lease.
 const SILENT_MS: f64 = 700.0;
 
-/// Sends a request with a start or step that is due `at_ms` after its timestamp. The lease expires before that, so the device must not
-/// perform this start or step.
+/// Sends a request whose start or step is due `at_ms` after its timestamp. Checks that the device does not perform it, because the lease
+/// expires earlier.
 fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32) -> Result<(), Unmet> {
     let mut line = trial.connect()?;
     let ticket = line.held(request)?;
@@ -187,7 +187,7 @@ fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32
     }
     let came = format!("{} after {silent} of silence", lost.text);
     let expected = format!(
-        "it after {at_ms} ms with steps_done {steps_done}: the lease of {PERIOD} that applies afterwards includes the silence before it"
+        "this report after {at_ms} ms with steps_done {steps_done}, because the silence before that time counts towards the lease of {PERIOD} that applies afterwards"
     );
     Err(differs(&asked.text, &came, &expected))
 }
@@ -196,7 +196,7 @@ fn lease_queued(trial: &Trial) -> Checked {
     trial.reporting()?;
     let actor = trial.scripted()?;
     if actor.device.script_queue < 2 {
-        return Err(not_applicable(format!("`{}` holds one command at a time", actor.device.id)));
+        return Err(not_applicable(format!("`{}` can hold only one command at a time", actor.device.id)));
     }
     let mut line = trial.connect()?;
     let lease =
@@ -206,8 +206,9 @@ fn lease_queued(trial: &Trial) -> Checked {
     let queued = trial.there_and_back(actor, 500.0).starting_in(LATER_MS);
     let queued = line.held(&ControlRequest { stop_condition: lease(300), ..queued })?;
     line.failure(queued, ErrorCode::LinkLost, trial.patience() + PERIOD)?;
-    line.report(running, &Status::Ok, trial.patience() + Span::from_millis(1_100))
-        .map_err(|unmet| unmet.within(|why| format!("the lease of a script behind it had ended: {why}")))?;
+    line.report(running, &Status::Ok, trial.patience() + Span::from_millis(1_100)).map_err(|unmet| {
+        unmet.within(|why| format!("the lease of a script that waited behind this one had expired: {why}"))
+    })?;
     pass()
 }
 
@@ -240,13 +241,13 @@ fn lease_step(trial: &Trial) -> Checked {
     runs_out(trial, &mut line, ticket)
 }
 
-/// Sets a speed or an acceleration, which continues after its command has ended. Returns the line and the ticket of the command.
+/// Sets a speed or an acceleration, which continues after the command has ended. Returns the connection and the ticket of the command.
 fn left_on(trial: &Trial) -> Result<(Line<'_>, Ticket), Unmet> {
     trial.reporting()?;
     let actor = trial.actor()?;
     if !actor.is_rate() || actor.near == actor.rest || actor.near == 0.0 {
         return Err(not_applicable(format!(
-            "`{}` is driven by {}: it stops by itself",
+            "`{}` is driven by {}, so it stops by itself",
             actor.device.id, actor.control_type
         )));
     }
@@ -280,7 +281,7 @@ fn lease_left_on_kept(trial: &Trial) -> Checked {
     }
     let later = line.held(&trial.pending(actor).leased(20_000.0))?;
     let note = runs_out_after(trial, &mut line, ticket, later).map_err(|unmet| {
-        unmet.within(|why| format!("the speed continued when commands arrived that did not drive it: {why}"))
+        unmet.within(|why| format!("commands that do not change the continuing speed had arrived: {why}"))
     })?;
     // When the movement ends, all held commands end too.
     line.failure(later, ErrorCode::LinkLost, trial.patience())?;
@@ -316,11 +317,13 @@ fn lease_renewal(trial: &Trial) -> Checked {
     chatter(trial, &mut line, &|| presence(trial), Span::from_millis(900))?;
     let asked = line.asked(ticket);
     match asked.heard.get(1) {
-        None => Ok(format!("held for 900 ms by availability requests, with a lease of {PERIOD}")),
+        None => {
+            Ok(format!("availability requests kept the command alive for 900 ms, with a lease of {PERIOD}"))
+        }
         Some(more) => Err(differs(
             &format!("{}, then an availability request every 100 ms", asked.text.trim_end()),
             &more.text,
-            "nothing: each of them renews the lease",
+            "nothing: each availability request renews the lease",
         )),
     }
 }
@@ -336,7 +339,9 @@ fn lease_noise(trial: &Trial) -> Checked {
         ));
     }
     line.failure(ticket, ErrorCode::LinkLost, trial.now()).map_err(|unmet| {
-        unmet.within(|why| format!("after 900 ms with only lines that are not messages, every 100 ms: {why}"))
+        unmet.within(|why| {
+            format!("for 900 ms, only lines that are not messages were sent, one every 100 ms: {why}")
+        })
     })?;
     pass()
 }
@@ -350,7 +355,7 @@ fn lease_link_down(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let ticket = line.ask(&request)?;
     line.refused(ticket, &[ErrorCode::LinkLost]).map_err(|unmet| unmet.within(|why| format!(
-            "it was accepted with a lease of {PERIOD}, the connection was closed and the same request repeated on a new one {} later: {why}",
+            "a request was accepted with a lease of {PERIOD}, its connection was closed, and the same request was repeated on a new connection {} later: {why}",
             PERIOD + PERIOD
         )))?;
     pass()
@@ -364,13 +369,13 @@ fn lease_two_links(trial: &Trial) -> Checked {
     chatter(trial, &mut other, &|| presence(trial), Span::from_millis(900))?;
     line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
         unmet.within(|why| {
-            format!("silent for 900 ms, while another connection sent availability requests: {why}")
+            format!("the server was silent for 900 ms while availability requests arrived on another connection: {why}")
         })
     })?;
     pass()
 }
 
-/// Encodes all requests that `session` may send to a robot that belongs to another session. The robot rejects them.
+/// Encodes one message of each kind with which `session` could address a robot that another session owns. The robot rejects them.
 fn sends_rejected_requests(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
     let actor = trial.actor()?;
     let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));
@@ -403,7 +408,11 @@ fn lease_stranger(trial: &Trial) -> Checked {
     let asks = || sends_rejected_requests(trial, &theirs).unwrap_or_default();
     chatter(trial, &mut stranger, &asks, Span::from_millis(900))?;
     line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
-        unmet.within(|why| format!("silent for 900 ms, while another session was refused: {why}"))
+        unmet.within(|why| {
+            format!(
+                "the server was silent for 900 ms while requests from another session were refused: {why}"
+            )
+        })
     })?;
     pass()
 }

@@ -182,7 +182,7 @@ fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Resul
 /// check would only wait for timeouts.
 fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     let why = format!(
-        "not checked: since `{since}` the robot accepts no connection or does not answer; expected it to keep running"
+        "not checked: since the check `{since}`, the robot has not accepted a connection or has not answered; expected it to keep running"
     );
     Judged { requirement: requirement.name, verdict: Verdict::Fail, why, millis: 0 }
 }

@@ -17,18 +17,19 @@ use super::trial::Trial;
 
 /// Maximum length in bytes of a line from a robot. The initialization block of a robot with 32,000 devices is shorter.
 const LINE_BYTES_MAX: usize = 64 * 1024 * 1024;
-/// Read timeout, after which the client checks for an interruption by the operator.
+/// Read timeout; after each one, the client checks whether the operator has interrupted the examination.
 const SLICE: Duration = Duration::from_millis(50);
 
-/// A connection to the robot with the messages received on it. Dropping the line ends the held commands and closes the connection.
+/// A connection to the robot, with the messages received on it. Dropping it ends the held commands (accepted, not yet ended) and closes
+/// the connection.
 pub(super) struct Line<'a> {
     trial: &'a Trial,
     stream: Stream,
     buffer: Vec<u8>,
-    /// Index in `buffer` up to which the search for a newline has found none.
+    /// Number of bytes at the start of `buffer` that contain no newline.
     searched: usize,
     exchanges: Exchanges,
-    /// The session that a request named most recently; it owns the held commands.
+    /// The session named in the most recent request; it owns the held commands (accepted, not yet ended).
     session: Option<SessionId>,
     others: VecDeque<Received<Message>>,
     /// Why the connection has ended; `None` while it is open.
@@ -44,7 +45,7 @@ pub(super) struct Inquired {
 }
 
 impl Inquired {
-    /// Creates the failure that the response to the inquiry is not as expected.
+    /// Creates a failure that states the inquiry, the response and the expected response.
     pub(super) fn differs(&self, expected: &str) -> Unmet {
         differs(&self.sent, &self.came, expected)
     }
@@ -99,7 +100,7 @@ impl<'a> Line<'a> {
         self.stream.write_all(bytes).and_then(|()| self.stream.flush()).map_err(|error| {
             let text = String::from_utf8_lossy(&bytes[..bytes.len().min(2_000)]);
             Unmet::Failed(format!(
-                "the connection broke while {} bytes were sent ({error}): {}; expected the robot to continue reading",
+                "the connection broke while {} bytes were being sent ({error}): {}; expected the robot to continue reading",
                 bytes.len(),
                 shown(&text)
             ))
@@ -116,17 +117,18 @@ impl<'a> Line<'a> {
     pub(super) fn wrapped(&mut self, message: &Message) -> Result<Vec<u8>, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
-        let broke = |error| Unmet::Failed(format!("cannot encrypt or seal: {error}"));
+        let broke = |error| Unmet::Failed(format!("cannot encrypt or seal the message: {error}"));
         self.stream.wrapped(&line).map_err(broke)
     }
 
-    /// Sends bytes without encrypting or authenticating them.
+    /// Sends bytes as they are, without encryption or authentication.
     pub(super) fn send_past(&mut self, bytes: &[u8]) -> Result<(), Unmet> {
-        let broke = |error| Unmet::Failed(format!("the connection broke while bytes were sent: {error}"));
+        let broke =
+            |error| Unmet::Failed(format!("the connection broke while bytes were being sent: {error}"));
         self.stream.socket().write_all(bytes).map_err(broke)
     }
 
-    /// Sends a message, and returns the text of the line.
+    /// Sends a message, and returns the JSON text sent.
     pub(super) fn say(&mut self, message: &Message) -> Result<String, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
@@ -141,7 +143,7 @@ impl<'a> Line<'a> {
         self.exchanges.of(ticket)
     }
 
-    /// Reads messages until `done` returns true or the time is `until`. Returns whether `done` returned true.
+    /// Reads messages until `done` returns true or the instant `until` is reached. Returns whether `done` returned true.
     pub(super) fn listen(
         &mut self,
         until: Timestamp<Server>,
@@ -246,7 +248,7 @@ impl<'a> Line<'a> {
         let found = self.asked(ticket).heard.get(n).cloned();
         found.ok_or_else(|| {
             let came = self.others.back().map_or_else(|| self.nothing(), |other| other.text.clone());
-            differs(&self.asked(ticket).text, &came, "a control_response to it, with its request_id")
+            differs(&self.asked(ticket).text, &came, "a control_response with the request_id of the request")
         })
     }
 
@@ -308,7 +310,7 @@ impl<'a> Line<'a> {
         })
     }
 
-    /// Waits for the report that a held request failed with `code`.
+    /// Waits for the report that an accepted request failed with `code`.
     pub(super) fn failure(
         &mut self,
         ticket: Ticket,
@@ -325,12 +327,16 @@ impl<'a> Line<'a> {
             None => {
                 let came =
                     last.map_or_else(|| self.nothing(), |last| format!("{} as the last response", last.text));
-                Err(differs(&asked.text, &came, &format!("a report `Failed` with error code `{code}`")))
+                Err(differs(
+                    &asked.text,
+                    &came,
+                    &format!("a report with status `Failed` and error code `{code}`"),
+                ))
             }
         }
     }
 
-    /// Waits until `until` for the next message that does not belong to a control request.
+    /// Waits for the next message that does not belong to a control request; `None` if none arrives before `until`.
     pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Received<Message>>, Unmet> {
         self.listen(until, |line| !line.others.is_empty())?;
         Ok(self.others.pop_front())
@@ -363,12 +369,12 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
-    /// Checks that the robot still responds after `before` was sent.
+    /// Checks that the robot still responds after `before`, the text of a message, was sent.
     pub(super) fn survives(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),
             Err(Unmet::Failed(why)) => Err(Unmet::Failed(format!(
-                "after {} the connection must continue, but: {why}",
+                "after {} the connection must remain usable, but: {why}",
                 shown(before)
             ))),
             Err(other) => Err(other),
@@ -432,13 +438,17 @@ impl<'a> Line<'a> {
         match self.other(until)? {
             Some(heard) if says_malformed(&heard.message) => Ok(()),
             Some(heard) => Err(differs(&text, &heard.text, "status `Failed` with error code `malformed`")),
-            None => Err(differs(&text, &self.nothing(), "an answer `Failed` with error code `malformed`")),
+            None => Err(differs(
+                &text,
+                &self.nothing(),
+                "an answer with status `Failed` and error code `malformed`",
+            )),
         }
     }
 }
 
 impl Line<'_> {
-    /// Closes the connection without ending the held commands.
+    /// Closes the connection without ending the commands that the robot still holds.
     pub(super) fn cut(mut self) {
         self.exchanges = Exchanges::default();
     }
@@ -455,7 +465,7 @@ impl Line<'_> {
     }
 }
 
-/// Ends the held commands, so that a finished check leaves none behind, regardless of its result.
+/// Ends the commands that the robot still holds, so that a finished check leaves none behind, regardless of its result.
 impl Drop for Line<'_> {
     fn drop(&mut self) {
         let certain = !self.exchanges.any_held() || matches!(self.wind_up(), Ok(true));

@@ -9,13 +9,13 @@ use super::trial::Trial;
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "many-messages",
-        demands: "A thousand messages in one write are all answered, in their order.",
+        demands: "A thousand messages that arrive in one write are all answered, in order.",
         section: "Sessions and connections (D)",
         check: many_messages,
     },
     Requirement {
         name: "slow-reader",
-        demands: "A server that sends and does not read does not delay the others.",
+        demands: "A server that sends requests but does not read the answers does not delay other servers.",
         section: "Sessions and connections (D)",
         check: slow_reader,
     },
@@ -33,7 +33,7 @@ pub(super) const ALL: [Requirement; 5] = [
     },
     Requirement {
         name: "silent-peers",
-        demands: "Sixteen connections that send nothing, or half a message, keep a server out for at most 10 s.",
+        demands: "Sixteen connections that send nothing, or only half a message, block a server for at most 10 s.",
         section: "Strangers (D)",
         check: silent_peers,
     },
@@ -68,7 +68,7 @@ fn many_messages(trial: &Trial) -> Checked {
     if echoed.is_sorted() {
         pass()
     } else {
-        Err(differs(&what, "answers in another order", "each answer in the order of its request"))
+        Err(differs(&what, "answers in a different order", "the answers in the order of the requests"))
     }
 }
 
@@ -92,7 +92,11 @@ fn reconnect(trial: &Trial) -> Checked {
     for n in 1..=20 {
         let served = trial.connect().and_then(|mut line| line.availability().map(drop));
         served.map_err(|unmet| {
-            unmet.within(|why| format!("connection {n} of 20, each closed before the next: {why}"))
+            unmet.within(|why| {
+                format!(
+                    "connection {n} of 20, each of which was closed before the next one was opened: {why}"
+                )
+            })
         })?;
     }
     pass()
@@ -127,9 +131,14 @@ fn silent_peers(trial: &Trial) -> Checked {
         let served = trial.connect().and_then(|mut line| line.availability().map(drop));
         let out = trial.now() - began;
         match served {
-            Ok(()) => return Ok(format!("served {out} after {} of them", peers.len())),
+            Ok(()) => {
+                return Ok(format!(
+                    "the robot answered {out} after {} of these connections had been opened",
+                    peers.len()
+                ));
+            }
             Err(Unmet::Failed(why)) if out > OUT_MAX + trial.slack() => {
-                let silent = format!("{PEERS} connections send nothing or half a message");
+                let silent = format!("{PEERS} connections sent nothing or only half a message");
                 return Err(Unmet::Failed(format!("{silent}, and {out} later: {why}")));
             }
             Err(Unmet::Failed(_)) => trial.pause(Span::from_millis(100))?,

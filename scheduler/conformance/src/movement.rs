@@ -14,13 +14,13 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial, millis_of};
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "stays-stopped",
-        demands: "A stop moves nothing: the device keeps the last commanded position.",
+        demands: "A stop does not move the device: it keeps the last commanded position.",
         section: "Coming to rest (D)",
         check: stays_stopped,
     },
     Requirement {
         name: "stays-connected",
-        demands: "The end of a connection and a new one move nothing.",
+        demands: "Closing a connection and opening a new one do not move the device.",
         section: "Coming to rest (D)",
         check: stays_connected,
     },
@@ -52,7 +52,7 @@ fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     answering(trial)?;
     let actor = trial.actor()?;
     if actor.control_type != ControlType::Position || actor.near == actor.rest {
-        return Err(not_applicable("the device does not have two positions"));
+        return Err(not_applicable("the device does not have two different positions"));
     }
     let mut line = trial.connect()?;
     let request = trial.set(actor, actor.near).leased(LEASE_MS);
@@ -61,7 +61,7 @@ fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     match stated(&mut line, actor)?.0 {
         Some(position) if is_at(actor, position, actor.near) => Ok((actor, line)),
         Some(_) => Err(not_applicable(
-            "the robot reports a different position than it was sent (see `inquiry-position`)",
+            "the robot reports a different position from the one that it was sent (see `inquiry-position`)",
         )),
         None => Err(not_applicable("the robot does not report the position of the device")),
     }
@@ -84,7 +84,8 @@ fn stays(trial: &Trial, line: &mut Line, actor: &Actor, what: &str) -> Checked {
         trial.pause(pause)?;
         let (position, inquired) = stated(line, actor)?;
         if !position.is_some_and(|position| is_at(actor, position, actor.near)) {
-            let expected = format!("position {}, the last commanded one: {what} moves nothing", actor.near);
+            let expected =
+                format!("position {}, the last commanded one: {what} must not move the device", actor.near);
             return Err(inquired.differs(&expected));
         }
     }
@@ -148,8 +149,9 @@ fn home_position(trial: &Trial) -> Checked {
             return pass();
         }
         if trial.now() >= until {
-            return Err(inquired
-                .differs(&format!("position {home}, the default_value: the empty script had `home: true`")));
+            return Err(inquired.differs(&format!(
+                "position {home}, the default_value, because the empty script had `home: true`"
+            )));
         }
         trial.pause(Span::from_millis(50))?;
     }

@@ -11,19 +11,19 @@ use super::trial::{LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 3] = [
     Requirement {
         name: "session-stop",
-        demands: "A stop by a session to which the robot does not belong, or without a session, is refused with `busy`, and ends and cancels nothing.",
+        demands: "A stop from a session that does not own the robot, or without a session, is refused with `busy` and does not end or cancel any command.",
         section: "Sessions and connections (D)",
         check: session_stop,
     },
     Requirement {
         name: "session-silence",
-        demands: "A session that holds nothing keeps the robot for 5 s of silence while its connection is open, and no longer.",
+        demands: "A silent session that holds no commands keeps the robot for 5 s while its connection is open, and no longer.",
         section: "Sessions and connections (D)",
         check: session_silence,
     },
     Requirement {
         name: "reports-follow",
-        demands: "Reports go to the connection on which the session last sent a message, whichever connection the command came on.",
+        demands: "Reports go to the connection on which the session last sent a message, regardless of the connection on which the command arrived.",
         section: "Reports (D)",
         check: reports_follow,
     },
@@ -50,10 +50,9 @@ fn session_stop(trial: &Trial) -> Checked {
     let stops = [stop(), of(&theirs, stop()), of(&theirs, ControlRequest { timestamp: ahead, ..stop() })];
     let refused = stops.iter().try_for_each(|stop| stranger.refuses(stop, ErrorCode::Busy));
     line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
-    let more =
-        line.asked(ticket).heard.get(1).map(|more| {
-            differs(&line.asked(ticket).text, &more.text, "nothing: only its session may stop it")
-        });
+    let more = line.asked(ticket).heard.get(1).map(|more| {
+        differs(&line.asked(ticket).text, &more.text, "nothing: only the owning session may stop the command")
+    });
     let own = line.ask(&of(&ours, stop()))?;
     line.answer(own)?;
     refused?;
@@ -91,10 +90,10 @@ fn session_silence(trial: &Trial) -> Checked {
         let silent = trial.now() - taken.at;
         let (sent, answer) = claim(trial, &mut second, &theirs)?;
         if answer.message.status == Status::Ok {
-            return Ok(format!("free after {silent} of silence"));
+            return Ok(format!("the robot was free after {silent} of silence"));
         }
         if silent > SILENCE + trial.slack() {
-            let expected = format!("`OK`: `{ours}` has been silent for {silent} and holds nothing");
+            let expected = format!("`OK`: `{ours}` has been silent for {silent} and holds no commands");
             return Err(differs(&sent, &answer.text, &expected));
         }
         trial.pause(Span::from_millis(50))?;
@@ -137,9 +136,9 @@ fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> 
         let report = lines[to].report(ticket, &status, until);
         match report {
             Err(Unmet::Failed(why)) if in_time => {
-                let heard = if to == from { "this one again" } else { "this one" };
+                let heard = if to == from { "the first connection again" } else { "the second connection" };
                 return Err(Unmet::Failed(format!(
-                    "the session last sent a message on a different connection than before, {heard}, which received no report: {why}"
+                    "the session last sent a message on {heard}, but no report arrived there: {why}"
                 )));
             }
             Err(Unmet::Failed(_)) => return Ok(false),

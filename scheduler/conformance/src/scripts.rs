@@ -15,31 +15,31 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "script-timing",
-        demands: "A script reports `Accepted`, `Started` and `OK` in this order, with all its steps done and its end at the last step's time.",
+        demands: "A script reports `Accepted`, `Started` and `OK` in this order, with all its steps done, and ends at the time of the last step.",
         section: "Reports (D)",
         check: script_timing,
     },
     Requirement {
         name: "max-steps",
-        demands: "A script of exactly max_number_of_steps is accepted.",
+        demands: "A script with exactly max_number_of_steps steps is accepted.",
         section: "Refusing",
         check: max_steps,
     },
     Requirement {
         name: "one-step-too-many",
-        demands: "A script of one step more than max_number_of_steps is refused with `too_many_steps`.",
+        demands: "A script with one step more than max_number_of_steps is refused with `too_many_steps`.",
         section: "Refusing",
         check: one_step_too_many,
     },
     Requirement {
         name: "queue",
-        demands: "script_queue scripts in direct succession are held, one more is refused with `busy`.",
+        demands: "A device accepts script_queue scripts in direct succession; one more is refused with `busy`.",
         section: "Refusing",
         check: queue,
     },
     Requirement {
         name: "overlap",
-        demands: "A script that overlaps a held one is refused with `overlap`, or with `busy` if the queue holds only one.",
+        demands: "A script that overlaps an accepted one is refused with `overlap`, or with `busy` if the queue holds only one.",
         section: "Refusing",
         check: overlap,
     },
@@ -89,10 +89,10 @@ fn script_timing(trial: &Trial) -> Checked {
     };
     let error = to - from - length;
     if error.abs() <= trial.options().tolerance {
-        Ok(format!("a script of {length} ended {error} after its time"))
+        Ok(format!("a script of {length} ended {error} after its scheduled end"))
     } else {
         let expected = format!(
-            "event_timestamp {length} after that of `Started`, {from}: the last step's time; it is off by {error}"
+            "an event_timestamp {length} after that of `Started` ({from}), which is the time of the last step; it is off by {error}"
         );
         Err(differs(&asked.text, &ended.text, &expected))
     }
@@ -117,7 +117,9 @@ fn max_steps(trial: &Trial) -> Checked {
     if tried == declared {
         Ok(format!("{tried} steps"))
     } else {
-        Ok(format!("{tried} steps; {declared} are declared, but more than {STEPS_TRIED_MAX} are not tried"))
+        Ok(format!(
+            "{tried} steps were tested; {declared} are declared, but at most {STEPS_TRIED_MAX} are tested"
+        ))
     }
 }
 
@@ -126,7 +128,7 @@ fn one_step_too_many(trial: &Trial) -> Checked {
     let declared = steps_declared(actor);
     if declared >= STEPS_TRIED_MAX {
         return Err(not_applicable(format!(
-            "{declared} steps are declared, but more than {STEPS_TRIED_MAX} are not tried"
+            "{declared} steps are declared, but at most {STEPS_TRIED_MAX} are tested"
         )));
     }
     let mut line = trial.connect()?;
@@ -146,7 +148,7 @@ fn queue(trial: &Trial) -> Checked {
     let declared = actor.device.script_queue;
     if declared > QUEUE_TRIED_MAX {
         return Err(not_applicable(format!(
-            "a queue of {declared} scripts is declared, but more than {QUEUE_TRIED_MAX} are not tried"
+            "a queue of {declared} scripts is declared, but at most {QUEUE_TRIED_MAX} are tested"
         )));
     }
     let mut line = trial.connect()?;

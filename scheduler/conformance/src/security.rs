@@ -14,6 +14,7 @@ use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, p
 use super::stream::{Stream, dial, hello, line};
 use super::trial::Trial;
 use downbeat_runtime::link::Security;
+use downbeat_yaml::render::counted;
 
 const SECTION: &str = "Proving who one is (D)";
 /// Time within which a robot closes the connection to a peer that has not proven its identity.
@@ -22,7 +23,7 @@ const DEADLINE: Span = Span::from_millis(5_000);
 pub(super) const ALL: [Requirement; 12] = [
     Requirement {
         name: "no-plain",
-        demands: "A message of a peer that has not proven its identity is not answered, and the connection is closed.",
+        demands: "A message from a peer that has not proven its identity is not answered, and the connection is closed.",
         section: SECTION,
         check: no_plain,
     },
@@ -58,7 +59,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "wrong-secret",
-        demands: "With `hmac`: an operator that does not prove its pass is disconnected.",
+        demands: "With `hmac`: an operator that does not prove that it has its pass is disconnected.",
         section: SECTION,
         check: wrong_secret,
     },
@@ -70,31 +71,31 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "other-robot",
-        demands: "With `hmac`: a claim for another robot is refused, with the robot's own id.",
+        demands: "With `hmac`: a claim for another robot is refused, and the refusal contains the robot's own id.",
         section: SECTION,
         check: other_robot,
     },
     Requirement {
         name: "forged-roles",
-        demands: "With `hmac`: the robot's proof follows from the claim, so roles cannot be added to it.",
+        demands: "With `hmac`: the robot's proof depends on the claim, so roles cannot be added to the claim.",
         section: SECTION,
         check: forged_roles,
     },
     Requirement {
         name: "repeated-connection",
-        demands: "With `hmac`: messages of an earlier connection prove nothing.",
+        demands: "With `hmac`: messages recorded on an earlier connection are not accepted as proof.",
         section: SECTION,
         check: repeated_connection,
     },
     Requirement {
         name: "roles",
-        demands: "An operator that may only observe gets answers but cannot move anything: `forbidden`.",
+        demands: "An operator that may only observe receives answers, but its requests to move a device are refused with `forbidden`.",
         section: "Errors",
         check: roles,
     },
 ];
 
-/// Whether a requirement is one of those that this module tests.
+/// Whether `requirement` is one of those that this module tests.
 pub(super) fn is_among(requirement: &Requirement) -> bool {
     ALL.iter().any(|own| own.name == requirement.name)
 }
@@ -151,7 +152,7 @@ fn until_hung_up(
     Ok(None)
 }
 
-/// The latest time at which the robot may close a connection that is opened now without proof of identity.
+/// Returns the latest time by which the robot must close a connection that is opened now without proof of identity.
 fn deadline(trial: &Trial) -> Timestamp<Server> {
     trial.now() + DEADLINE + trial.options().patience
 }
@@ -164,7 +165,7 @@ fn no_plain(trial: &Trial) -> Checked {
     let text = format!("{} without a proof of identity", String::from_utf8_lossy(&said).trim_end());
     let _hung_up = socket.write_all(&said);
     match until_hung_up(trial, &mut socket, deadline(trial))? {
-        None => Err(differs(&text, "no end of the connection", "the robot to close the connection")),
+        None => Err(differs(&text, "no disconnection", "the robot to close the connection")),
         Some(came) if came.contains(&b'{') => Err(differs(
             &text,
             &String::from_utf8_lossy(&came),
@@ -181,7 +182,7 @@ fn proven_in_time(trial: &Trial) -> Checked {
     match until_hung_up(trial, &mut socket, deadline(trial))? {
         Some(_) => Ok(format!("disconnected after {}", trial.now() - begun)),
         None => {
-            let waited = format!("no end within {}", trial.now() - begun);
+            let waited = format!("no disconnection within {}", trial.now() - begun);
             Err(differs("no message on a connection", &waited, "the robot to close the connection after 5 s"))
         }
     }
@@ -192,13 +193,17 @@ fn ends(trial: &Trial, line: &mut Line<'_>, what: &str, answers_max: usize) -> C
     let until = trial.patience();
     line.listen(until, |line| line.has_ended())?;
     if !line.has_ended() {
-        return Err(differs(what, "no end of the connection", "the robot to close the connection"));
+        return Err(differs(what, "no disconnection", "the robot to close the connection"));
     }
     let mut answers = 0;
     while let Some(heard) = line.other(trial.now())? {
         answers += 1;
         if answers > answers_max {
-            return Err(differs(what, &heard.text, &format!("{answers_max} answers, and the end")));
+            let answers = match answers_max {
+                0 => "without an answer".to_owned(),
+                most => format!("after at most {}", counted(most, "answer")),
+            };
+            return Err(differs(what, &heard.text, &format!("the robot to close the connection {answers}")));
         }
     }
     pass()
@@ -238,7 +243,7 @@ fn no_certificate(trial: &Trial) -> Checked {
     };
     let mut said = Vec::new();
     encode(&availability(), &mut said);
-    let text = format!("{} by TLS without a certificate", String::from_utf8_lossy(&said).trim_end());
+    let text = format!("{} over TLS without a certificate", String::from_utf8_lossy(&said).trim_end());
     // With TLS 1.3, the robot may refuse the handshake after this side considers it complete, so sending the message may succeed.
     let answered = Stream::without_certificate(trial.address(), tls, trial.options().patience.to_duration())
         .and_then(|mut stream| {
@@ -248,7 +253,7 @@ fn no_certificate(trial: &Trial) -> Checked {
         });
     match answered {
         Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-            Err(differs(&text, "no end of the connection", "the robot to close the connection"))
+            Err(differs(&text, "no disconnection", "the robot to close the connection"))
         }
         Ok(came) if !came.is_empty() => {
             Err(differs(&text, &came, "no answer, and the robot to close the connection"))
@@ -315,7 +320,7 @@ fn other_robot(trial: &Trial) -> Checked {
     let mut hello = fresh(held(trial)?)?;
     let own = hello.robot.clone();
     let another = format!("not {own}").chars().take(200).collect::<String>();
-    hello.robot = another.parse().map_err(|_| not_applicable("there is no other id"))?;
+    hello.robot = another.parse().map_err(|_| not_applicable("no other robot id could be formed"))?;
     refused(trial, &hello, &Refused::OtherRobot(own))
 }
 
@@ -333,7 +338,7 @@ fn forged_roles(trial: &Trial) -> Checked {
         Ok(()) => Err(differs(
             hello.line().trim_end(),
             answer.trim_end(),
-            "a proof by a different pass than that of fewer roles",
+            "a proof that differs from that for the original roles",
         )),
     }
 }
@@ -359,19 +364,19 @@ fn repeated_connection(trial: &Trial) -> Checked {
         return Err(differs(
             said.trim_end(),
             second.trim_end(),
-            "a different number than on the connection before",
+            "a different random number than on the previous connection",
         ));
     }
     let _hung_up = again.write_all(&record);
     match until_hung_up(trial, &mut again, deadline(trial))? {
         Some(came) if came.is_empty() => pass(),
         Some(_) => Err(differs(
-            "all messages of an earlier connection",
+            "all messages of an earlier connection again",
             "an answer",
             "the robot to close the connection",
         )),
         None => Err(differs(
-            "all messages of an earlier connection",
+            "all messages of an earlier connection again",
             "no end",
             "the robot to close the connection",
         )),
@@ -382,7 +387,7 @@ fn roles(trial: &Trial) -> Checked {
     protected(trial)?;
     let Some(observer) = &trial.options().observer else {
         return Err(not_applicable(
-            "no other operator is known: pass the identity file of one with --observer",
+            "no second operator is known: name the identity file of one that may only observe with `--observer`",
         ));
     };
     let mut line = trial.connect_as(observer)?;

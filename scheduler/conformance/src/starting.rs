@@ -12,37 +12,37 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "deferred-start",
-        demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never before.",
+        demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never early.",
         section: "Time (D)",
         check: deferred_start,
     },
     Requirement {
         name: "script-start",
-        demands: "If the first value of a script is due after its start, the script starts with that value on a device with `hold`, and at its start with `linear`.",
+        demands: "If the first value of a script is due later than its start, a device with `hold` reports the start with that value, and one with `linear` at the start.",
         section: "Reports (D)",
         check: script_start,
     },
     Requirement {
         name: "immediate-start",
-        demands: "A command without time_offset_to_start is accepted and starts at once on receipt.",
+        demands: "A command without time_offset_to_start is accepted and starts as soon as it is received.",
         section: "Control request",
         check: immediate_start,
     },
     Requirement {
         name: "late",
-        demands: "A command whose start has passed when it arrives is refused with `late` and not executed.",
+        demands: "A command that arrives after its start is refused with `late` and not executed.",
         section: "Time (D)",
         check: late,
     },
     Requirement {
         name: "late-by-little",
-        demands: "A command whose start has passed by a few milliseconds is refused with `late` as well, even a script whose other steps are still in the future.",
+        demands: "A command that arrives only a few milliseconds after its start is refused with `late` as well, even a script whose other steps are still in the future.",
         section: "Time (D)",
         check: late_by_little,
     },
     Requirement {
         name: "status-value",
-        demands: "`Accepted` carries the accepted value, `Started` the first value set, `OK` the last; a refusal and the `OK` to an empty script carry null.",
+        demands: "The status_value is the accepted value in `Accepted`, the first value set in `Started` and the last one in `OK`; it is null in a refusal and in the `OK` to an empty script.",
         section: "Control response",
         check: status_value,
     },
@@ -88,12 +88,13 @@ fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span)
     let sent = line.asked(ticket).text.clone();
     let started = line.report(ticket, &Status::Started, trial.patience())?;
     let (Some(planned), Some(at)) = (planned, started.message.event_timestamp) else {
-        return Err(differs(&sent, &started.text, "an event_timestamp: when the command actually started"));
+        return Err(differs(&sent, &started.text, "an event_timestamp with the actual start of the command"));
     };
     let error = at - planned;
     let tolerance = trial.options().tolerance;
     if error < -EARLY_MAX || error > tolerance {
-        let expected = format!("event_timestamp from {planned} to {tolerance} later; it is off by {error}");
+        let expected =
+            format!("an event_timestamp from {planned} to {tolerance} later; it is off by {error}");
         return Err(differs(&sent, &started.text, &expected));
     }
     // A report that arrives before the start is due is false, regardless of the timestamp in it.
@@ -103,7 +104,7 @@ fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span)
         let expected = format!("no report before the start; it came {} early", arrived.abs());
         return Err(differs(&sent, &started.text, &expected));
     }
-    Ok(format!("started {error} after its time"))
+    Ok(format!("started {error} after the scheduled time"))
 }
 
 fn immediate_start(trial: &Trial) -> Checked {
@@ -118,7 +119,7 @@ fn immediate_start(trial: &Trial) -> Checked {
     let took = started.at - accepted.at;
     if took > trial.slack() {
         let came = format!("{} {took} after `Accepted`", started.text);
-        return Err(differs(&line.asked(ticket).text, &came, "`Started` at once after `Accepted`"));
+        return Err(differs(&line.asked(ticket).text, &came, "`Started` immediately after `Accepted`"));
     }
     line.report(ticket, &Status::Ok, trial.patience())?;
     pass()
@@ -139,7 +140,9 @@ fn refused_for_good(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<()
     line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
     match line.asked(ticket).heard.get(1) {
         None => Ok(()),
-        Some(more) => Err(differs(&line.asked(ticket).text, &more.text, "nothing more after the refusal")),
+        Some(more) => {
+            Err(differs(&line.asked(ticket).text, &more.text, "no further response after the refusal"))
+        }
     }
 }
 
@@ -161,10 +164,10 @@ fn late_by_little(trial: &Trial) -> Checked {
         request.timestamp = Some(robot_now - passed - Span::from_millis(AHEAD_MS));
         let ticket = line.ask(&request.starting_in(1_000.0).leased(LEASE_MS))?;
         refused_for_good(trial, &mut line, ticket).map_err(|unmet| {
-            unmet.within(|why| format!("the start had passed {passed} before it was sent: {why}"))
+            unmet.within(|why| format!("the request was sent {passed} after its start: {why}"))
         })?;
     }
-    Ok(format!("refused {passed} after its start"))
+    Ok(format!("a request sent {passed} after its start was refused"))
 }
 
 fn status_value(trial: &Trial) -> Checked {

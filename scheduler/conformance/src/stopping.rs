@@ -10,31 +10,31 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "cancel-pending",
-        demands: "An empty script without a start is answered `OK`, and pending commands end `Failed`, `cancelled`.",
+        demands: "An empty script without a start time is answered with `OK`, and pending commands end with `Failed` and `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_pending,
     },
     Requirement {
         name: "cancel-from",
-        demands: "An empty script at S cancels commands that start at S or later, and none that start before.",
+        demands: "An empty script with the start time S cancels commands that start at S or later, but none that start earlier.",
         section: "Cancelling (D)",
         check: cancel_from,
     },
     Requirement {
         name: "cancel-running",
-        demands: "An empty script without a start ends running commands, which report `Failed`, `cancelled`.",
+        demands: "An empty script without a start time ends running commands, which report `Failed` with `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_running,
     },
     Requirement {
         name: "home",
-        demands: "An empty script with `home: true` is answered `OK` and ends pending commands as well.",
+        demands: "An empty script with `home: true` is answered with `OK` and also ends pending commands.",
         section: "Cancelling (D)",
         check: home,
     },
     Requirement {
         name: "take-back",
-        demands: "A stop with a timestamp also refuses with `cancelled` commands that were sent up to then and arrive after it, and none that were sent later.",
+        demands: "After a stop with a timestamp, commands that were sent no later than this timestamp but arrive after the stop are also refused with `cancelled`; commands that were sent later are not.",
         section: "Cancelling (D)",
         check: take_back,
     },
@@ -83,7 +83,7 @@ fn cancel_from(trial: &Trial) -> Checked {
     cancels(trial, &mut line, &from(LATER_MS + 1.0))?;
     line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
     if let Some(more) = line.asked(ticket).heard.get(1) {
-        let expected = "nothing: the empty script starts 1 ms after it and does not affect it";
+        let expected = "nothing: the empty script starts 1 ms after the command and must not affect it";
         return Err(differs(&line.asked(ticket).text, &more.text, expected));
     }
     cancels(trial, &mut line, &from(LATER_MS))?;
@@ -126,7 +126,7 @@ fn take_back(trial: &Trial) -> Checked {
     let ticket = upload.ask(&overtaken)?;
     upload.refused(ticket, &[ErrorCode::Cancelled]).map_err(|unmet| {
         unmet.within(|why| {
-            format!("a stop with a later timestamp arrived before it on another connection: {why}")
+            format!("a stop with a later timestamp arrived before the command on another connection: {why}")
         })
     })?;
     upload.held(&trial.pending(actor))?;

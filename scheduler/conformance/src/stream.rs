@@ -42,7 +42,9 @@ impl Stream {
         let socket = dial(address, patience)?;
         match security {
             Security::Plain => Ok(Self::Plain(socket)),
-            Security::Nameless => Err(io::Error::other("set DOWNBEAT_IDENTITY to your identity file")),
+            Security::Nameless => Err(io::Error::other(
+                "missing identity: set DOWNBEAT_IDENTITY to the path of your identity file",
+            )),
             Security::Tls(tls) => Self::by_tls(socket, Arc::clone(tls.config())),
             Security::Hmac(hmac) => Ok(Self::Hmac(Box::new(greet(socket, hmac.pass()?)?))),
         }

@@ -187,9 +187,9 @@ impl Trial {
     pub(super) fn actor(&self) -> Result<&Actor, Unmet> {
         self.block()?;
         self.actor.as_ref().ok_or_else(|| match &self.options.device {
-            Some(id) => not_applicable(format!("`{id}` has no position, speed or acceleration with a value on its grid")),
+            Some(id) => not_applicable(format!("`{id}` has no position, speed or acceleration with a settable value")),
             None => not_applicable(
-                "no device has position, speed or acceleration; only the manufacturer knows which values of custom types are safe",
+                "no device supports position, speed or acceleration; only the manufacturer knows which values of custom control types are safe",
             ),
         })
     }

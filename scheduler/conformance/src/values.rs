@@ -9,7 +9,7 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 9] = [
     Requirement {
         name: "range",
-        demands: "min_value and max_value are accepted, values beyond them are refused with `out_of_range`.",
+        demands: "The values min_value and max_value are accepted; values beyond them are refused with `out_of_range`.",
         section: "Refusing",
         check: range,
     },
@@ -33,13 +33,13 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "unsupported-control-type",
-        demands: "A control type that the device does not have is refused with `unsupported_control_type`, and its pending commands end `Failed`, `cancelled`.",
+        demands: "A control type that the device does not support is refused with `unsupported_control_type`, and the device's pending commands end with `Failed` and `cancelled`.",
         section: "Refusing",
         check: unsupported_control_type,
     },
     Requirement {
         name: "unknown-control-type",
-        demands: "A control type that the protocol does not define is treated as one that the device does not have, whatever its control_value is, including a list or a string.",
+        demands: "A control type that the protocol does not define is treated as one that the device does not support, whatever its control_value is, including a list or a string.",
         section: "Refusing",
         check: unknown_control_type,
     },
@@ -51,7 +51,7 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "sensor",
-        demands: "A sensor request is answered `Provide` with a reading from min_value to max_value, within max_delay.",
+        demands: "A sensor request is answered with `Provide` and a reading from min_value to max_value, within max_delay.",
         section: "Sensors",
         check: sensor,
     },
@@ -82,7 +82,7 @@ fn range(trial: &Trial) -> Checked {
         let request = trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS);
         line.refuses(&request, ErrorCode::OutOfRange)?;
     }
-    Ok(format!("`{}` accepted {low} and {high}, refused {below} and {above}", actor.device.id))
+    Ok(format!("`{}` accepted {low} and {high}, and refused {below} and {above}", actor.device.id))
 }
 
 /// Returns a value between two multiples of the granularity.
@@ -132,7 +132,7 @@ fn unknown_device(trial: &Trial) -> Checked {
     if answer.message.device_id == device {
         pass()
     } else {
-        Err(differs(&line.asked(ticket).text, &answer.text, "the request's own device_id"))
+        Err(differs(&line.asked(ticket).text, &answer.text, "the device_id of the request"))
     }
 }
 
@@ -170,7 +170,7 @@ fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
             .to_owned());
     }
     line.failure(pending, ErrorCode::Cancelled, trial.patience()).map_err(|unmet| unmet.within(|why| format!(
-            "the control type `{}` was refused, but the device must also go to its default state, which ends what it held: {why}",
+            "the control type `{}` was refused, but the device must also go to its default state, which ends its commands: {why}",
             control_type
         )))?;
     pass()
@@ -226,7 +226,7 @@ fn sensor(trial: &Trial) -> Checked {
         return Err(differs(
             &sent,
             &format!("{} after {took}", answer.text),
-            &format!("an answer within {allowed}: max_delay, a round trip and the tolerance"),
+            &format!("an answer within {allowed}, which is max_delay plus a round trip and the tolerance"),
         ));
     }
     Ok(format!("`{}` reads {reading}", device.id))

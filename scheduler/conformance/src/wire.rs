@@ -17,61 +17,61 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "unknown-message",
-        demands: "A message with an unknown name is answered `malformed` or ignored, and the connection continues.",
+        demands: "A message with an unknown name is ignored or answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: unknown_message,
     },
     Requirement {
         name: "malformed-line",
-        demands: "A line that is not JSON is answered `malformed`, and the connection continues.",
+        demands: "A line that is not JSON is answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: malformed_line,
     },
     Requirement {
         name: "wrong-type",
-        demands: "A value of the wrong type or a missing key is answered `malformed`, and the connection continues.",
+        demands: "A message with a missing key or a value of the wrong type is answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: wrong_type,
     },
     Requirement {
         name: "not-utf8",
-        demands: "A line that is not UTF-8 is answered `malformed`, and the connection continues.",
+        demands: "A line that is not UTF-8 is answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: not_utf8,
     },
     Requirement {
         name: "deep-nesting",
-        demands: "A line nested 100,000 deep is answered, and the connection continues.",
+        demands: "A line with 100,000 nested levels is answered, and the connection remains usable.",
         section: "Framing (D)",
         check: deep_nesting,
     },
     Requirement {
         name: "bad-numbers",
-        demands: "Numbers that are not finite, NaN, Infinity and 1e999, are answered `malformed`.",
+        demands: "Numbers that are not finite (NaN, Infinity and 1e999) are answered with `malformed`.",
         section: "Framing (D)",
         check: bad_numbers,
     },
     Requirement {
         name: "long-strings",
-        demands: "A string of 256 characters is accepted, one of 257 is answered `malformed`.",
+        demands: "A string of 256 characters is accepted; one of 257 characters is answered with `malformed`.",
         section: "Framing (D)",
         check: long_strings,
     },
     Requirement {
         name: "duplicate-keys",
-        demands: "A duplicate key is answered `malformed`.",
+        demands: "A duplicate key is answered with `malformed`.",
         section: "Framing (D)",
         check: duplicate_keys,
     },
     Requirement {
         name: "huge-line",
-        demands: "A line of 17 MB is answered `malformed` or ends the connection, and the robot accepts new connections.",
+        demands: "A line of 17 MB is answered with `malformed` or ends the connection, and the robot accepts new connections.",
         section: "Framing (D)",
         check: huge_line,
     },
     Requirement {
         name: "half-line",
-        demands: "A message that arrives in two halves is read as one; half a message and a broken connection do no harm.",
+        demands: "A message that arrives in two halves is read as one; half a message followed by a closed connection does no harm.",
         section: "Framing (D)",
         check: half_line,
     },
@@ -252,7 +252,7 @@ fn huge_line(trial: &Trial) -> Checked {
     // A robot may answer and hang up before the whole line is sent. A robot that only stops reading does neither.
     let sent = line.send(&bytes);
     let heard = line.other(trial.patience())?;
-    let what = format!("a line of {BYTES} times `x`");
+    let what = format!("a line of {BYTES} `x` characters");
     match heard {
         Some(heard) if says_malformed(&heard.message) => {
             if sent.is_ok() {

@@ -123,7 +123,7 @@ impl Mission {
         let reason = match suspended.as_slice() {
             [(_, FailureKind::Silent { .. }), ..] if act.progress() == Progressed::Preparing => {
                 let (count, all) = (suspended.len(), act.present().count());
-                format!("{count} of {all} robots did not accept in time")
+                format!("{count} of {all} robots did not accept their scripts in time")
             }
             _ => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
         };

@@ -294,8 +294,8 @@ impl Mission {
             (Some([before, act]), named) if named.is_none_or(|name| name == act.name()) => {
                 format!("`{}` waits until `{}` has ended", act.name(), before.name())
             }
-            (_, Some(name)) => format!("`{name}` does not wait for the operator now"),
-            (_, None) => "no act waits for the operator".to_owned(),
+            (_, Some(name)) => format!("`{name}` is not waiting for the operator"),
+            (_, None) => "no act is waiting for the operator".to_owned(),
         }
     }
 

@@ -44,7 +44,7 @@ pub enum FailureKind {
     },
     /// The robot sends far more messages than requested. The mission reconnects to it only to stop it.
     #[error(
-        "flooding: the robot sent {messages} messages and {bytes} bytes, far more than requested; in this mission it is reconnected only to be stopped"
+        "flooding: the robot sent {messages} messages and {bytes} bytes, far more than requested; for the rest of this mission, it is reconnected only to be stopped"
     )]
     Flooding {
         /// Number of messages received on the link before it was closed for this reason.
@@ -53,7 +53,9 @@ pub enum FailureKind {
         bytes: u64,
     },
     /// The robot's answers are too slow, or leave its clock too uncertain: all others would have to wait for it.
-    #[error("the link to it is too slow: {slow}; use a faster or steadier link, and check its clock")]
+    #[error(
+        "the link to the robot is too slow: {slow}; use a faster or steadier link, and check the robot's clock"
+    )]
     TooSlow {
         /// The value that is too slow, and the longest accepted value.
         #[serde(flatten)]
@@ -134,7 +136,7 @@ pub enum FailureKind {
     },
     /// The robot's devices begin to move at instants that vary by more than the scenario tolerates.
     #[error(
-        "the latency of its devices varies by +-{spread}, but the scenario tolerates {tolerance}, including clock errors: measure it again with \
+        "the latency of its devices varies by +-{spread}, but the scenario tolerates only {tolerance}, including clock errors: measure the latency again with \
          `downbeat calibrate`, or raise start_tolerance"
     )]
     LatencySpread {
@@ -146,7 +148,7 @@ pub enum FailureKind {
         tolerance: Span,
     },
     /// A sensor reads a value that the fleet file does not permit.
-    #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
+    #[error("`{sensor}` reads {reading}, but the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
     Requirement {
         /// Id of the sensor.
         sensor: DeviceId,
@@ -159,8 +161,8 @@ pub enum FailureKind {
     #[error(
         "device `{device}` is at {reading}, {}",
         match act {
-            None => format!("its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"),
-            Some(act) => format!("its first keyframe in the act `{act}` expects {expected}: move it there in an earlier act, or put that keyframe later"),
+            None => format!("but its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"),
+            Some(act) => format!("but its first keyframe in the act `{act}` expects {expected}: move it there in an earlier act, or put that keyframe later"),
         }
     )]
     Position {
@@ -249,7 +251,7 @@ fn remedy_of_silence(awaited: &str) -> &'static str {
 fn remedy_of_busy(error: &ControlError) -> &'static str {
     match error.code {
         ErrorCode::Busy => {
-            "; wait until its mission ends, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` can take over robots with a `tls://` or `hmac://` address by `downbeat run --seize`"
+            "; wait until that other mission ends, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` can take over robots with a `tls://` or `hmac://` address with `downbeat run --seize`"
         }
         _ => "",
     }
@@ -259,10 +261,10 @@ fn remedy_of_busy(error: &ControlError) -> &'static str {
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
     match ClockDoubt::of(offset, uncertainty) {
         ClockDoubt::Clock => format!(
-            "clock off by {offset} (+-{uncertainty}), the scenario tolerates {tolerance}: check the robot's NTP, or raise start_tolerance"
+            "clock off by {offset} (+-{uncertainty}), but the scenario tolerates only {tolerance}: check the robot's NTP, or raise start_tolerance"
         ),
         ClockDoubt::Path => format!(
-            "clock known only to +-{uncertainty} (offset {offset}) because the delay of its link varies, the scenario tolerates {tolerance}: use a steadier link, or raise start_tolerance"
+            "clock known only to +-{uncertainty} (offset {offset}), because the delay of its link varies, but the scenario tolerates only {tolerance}: use a steadier link, or raise start_tolerance"
         ),
     }
 }

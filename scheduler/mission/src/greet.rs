@@ -15,6 +15,7 @@ use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_of_status};
+use downbeat_yaml::render::counted;
 
 /// Number of timestamp exchanges with each robot before any decision.
 const CLOCK_SAMPLES: u32 = 8;
@@ -120,8 +121,8 @@ impl Mission {
             let listed: Vec<_> = listed.map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
             reasons.push(format!(
-                "it does not support the encoding `{}`, which the fleet file requires (besides JSON: {listed}); \
-                 every robot supports `encoding: json`",
+                "it does not support the encoding `{}`, which the fleet file requires (it supports, besides JSON: {listed}); \
+                 use `encoding: json`, which every robot supports",
                 state.settings.encoding
             ));
         }
@@ -409,7 +410,7 @@ impl Mission {
             let awaited = match robot.exchanges.ignored() {
                 0 => awaited.to_owned(),
                 ignored => format!(
-                    "{awaited} to a request (answers ignored because they answer no request or have impossible times: {ignored})"
+                    "{awaited} (answers ignored because they match no request or have impossible times: {ignored})"
                 ),
             };
             self.fail(now, index, FailureKind::Silent { awaited, within });
@@ -469,7 +470,8 @@ pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &Initialization
     let room = device.available_control_types.script().map_or(0, |s| s.max_number_of_steps as usize);
     if steps.len() > room {
         reasons.push(format!(
-            "device `{id}` supports {room} steps per script, but the plan has {}",
+            "device `{id}` supports at most {} per script, but the plan has {}",
+            counted(room, "step"),
             steps.len()
         ));
     }

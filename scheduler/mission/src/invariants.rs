@@ -31,7 +31,7 @@ impl Mission {
             Phase::Greeting { .. } => {
                 assert!(
                     self.robots.iter().all(|robot| matches!(robot.stop, Stop::None)),
-                    "nothing is stopped in the greeting"
+                    "no robot is stopped during the greeting"
                 );
             }
             Phase::Performing => self.acts.iter().for_each(|act| self.check_left_out(act)),
@@ -56,7 +56,7 @@ impl Mission {
         assert!(self.acts_repeated <= self.acts_begun, "an act that is repeated has begun");
         assert!(
             self.recording.awaited.iter().is_sorted_by_key(|(count, ..)| *count),
-            "records are durable in order"
+            "records become durable in order"
         );
         assert!(
             self.recording.awaited.iter().all(|(count, ..)| *count <= self.recording.count),
@@ -65,7 +65,7 @@ impl Mission {
         let indices = self.first_robots.iter().flatten();
         assert!(
             indices.into_iter().all(|robot| *robot < self.robots.len()),
-            "the robots of the first act are those of the mission"
+            "the robots of the first act belong to the mission"
         );
     }
 
@@ -126,7 +126,7 @@ impl Mission {
         for (device, count) in held {
             assert!(
                 count <= robot.queue_of(device),
-                "{}/{device} was sent at most as many scripts as it holds",
+                "{}/{device} was sent at most as many scripts as it can hold",
                 robot.id
             );
         }

@@ -89,7 +89,7 @@ impl fmt::Display for LatencyDiffers {
         let more = if more > 0 { format!(", and {more} more devices") } else { String::new() };
         write!(
             f,
-            "its declared latency differs from the compensated one: {}{more}; to compensate the declared latency, set \
+            "its declared latency differs from the compensated latency: {}{more}; to compensate for the declared latency, set \
              `latency: {{{}}}` in the fleet file",
             all.join(", "),
             lines.join(", ")
@@ -142,8 +142,8 @@ mod tests {
         use LatencySource::{File, Fleet, Robot};
         assert_eq!(
             differs(Some(42), None, None).unwrap(),
-            "its declared latency differs from the compensated one: `a` 42 ms instead of 0 ms; \
-             to compensate the declared latency, set `latency: {a: 42ms}` in the fleet file"
+            "its declared latency differs from the compensated latency: `a` 42 ms instead of 0 ms; \
+             to compensate for the declared latency, set `latency: {a: 42ms}` in the fleet file"
         );
         let from_file = differs(Some(42), Some((30, File)), None).unwrap();
         assert!(from_file.contains("`a` 42 ms instead of 30 ms (from the file)"), "{from_file}");

@@ -143,7 +143,7 @@ impl fmt::Display for Outcome {
             }
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
-                "played to the end, but out of tolerance: robots were {spread} apart or off their plan; start_tolerance is {tolerance}"
+                "played to the end, but out of tolerance: robots started {spread} apart or off schedule; start_tolerance is {tolerance}"
             ),
             Self::StepsLate { late, tolerance } => write!(
                 f,
@@ -160,7 +160,7 @@ impl fmt::Display for Outcome {
             Self::Abandoned => f.write_str("the operator exited before the stop was confirmed"),
             Self::LeadTooShort { lead, needed, safe_start } => write!(
                 f,
-                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} lease, {} margin); the earliest safe start was {safe_start}",
+                "not sent: the lead of {lead} is too short, because this fleet needs {} ({} to prepare, {} lease, {} margin); the earliest safe start was {safe_start}",
                 needed.total(),
                 needed.prepare,
                 needed.lease,

@@ -217,7 +217,7 @@ fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
         Some(left) => {
             let days = left.as_nanos() / 1_000_000 / DAY_MS;
             Verdict::Warning(format!(
-                "its certificate expires in {}: `downbeat keys renew {}` makes a new one",
+                "its certificate expires in {}: make a new one with `downbeat keys renew {}`",
                 counted(usize::try_from(days).unwrap_or_default(), "day"),
                 robot.own_id
             ))

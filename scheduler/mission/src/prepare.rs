@@ -222,7 +222,7 @@ impl Mission {
             return self.acts[index].look_again_at(Some(since + within));
         }
         let silent = |robot| {
-            let awaited = "answer to the request for its times".to_owned();
+            let awaited = "answer with its clock times".to_owned();
             (robot, FailureKind::Silent { awaited, within })
         };
         self.fail_all(now, unknown.into_iter().map(silent).collect());

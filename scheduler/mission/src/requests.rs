@@ -74,7 +74,7 @@ impl Mission {
         };
         let Some(script) = script else {
             self.robots[robot].exchanges.ignore();
-            return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
+            return tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
         };
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         if stopped && response.status == Status::Ok && names_nothing(response) {

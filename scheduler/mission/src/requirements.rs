@@ -115,7 +115,7 @@ fn of_spread(requirement: &'static str, bound: Ceiling, found: Option<Span>, tri
     let note = match (found, trials) {
         (None, None) if requirement != "spread_max" => Some(NEEDS_TRIALS.to_owned()),
         (None, _) => Some("not every robot started, so there is no spread".to_owned()),
-        (Some(_), None) => Some("from one run; --trials plays more".to_owned()),
+        (Some(_), None) => Some("from one run; play several with --trials".to_owned()),
         (Some(_), Some(trials)) if requirement == "spread_p99" && trials < 100 => {
             Some(format!("largest of {trials} trials; the 99th percentile requires at least 100"))
         }
@@ -158,8 +158,9 @@ fn of_share(requirement: &'static str, bound: Floor<Share>, found: Option<(u64, 
 fn too_few(bound: Share, trials: u64) -> Option<String> {
     let failing = u64::from(1_000_000_000 - bound.billionths());
     let needed = 3_000_000_000_u64.div_ceil(failing.max(1));
-    (failing > 0 && trials < needed)
-        .then(|| format!("none of {trials} trials failed; {needed} are required for 95 % confidence"))
+    (failing > 0 && trials < needed).then(|| {
+        format!("none of {trials} trials failed, but {needed} trials are required for 95 % confidence")
+    })
 }
 
 #[expect(clippy::cast_precision_loss, reason = "shown to people; the comparison is exact")]

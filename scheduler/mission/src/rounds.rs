@@ -1,8 +1,8 @@
 //! Questions to robots. They renew leases, measure clocks and detect robots that have gone silent.
 //!
-//! All robots are asked at least once per second, and three times per lease. While an act approaches its start, it asks its members
-//! itself (`act/approaching.rs`). Any other message to them then follows a question that carries the lease. Between the critical instant
-//! and the commitment, only stops are sent.
+//! All robots are asked at least once per second, and three times per lease. While an act approaches its start, it asks its robots itself
+//! (`act/approaching.rs`). A question that carries the lease is then sent ahead of any other message to these robots. Between the
+//! critical instant (when the scheduler stops sending before a start) and the commitment, only stops are sent.
 
 use urrcp::{
     AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Robot, Server, Span, Status, Timestamp,
@@ -84,7 +84,7 @@ impl Mission {
         self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
     }
 
-    /// Detects a delay of this machine. Robots that could not answer meanwhile are not silent.
+    /// Detects a delay of this machine. Robots that could not answer during the delay are not treated as silent.
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
         if self.next_round.is_some_and(|due| now > due + HELD_UP) {
             self.rounds_held_up += 1;
@@ -205,8 +205,8 @@ impl Mission {
         }
     }
 
-    /// Notes that a question reached a robot that takes no inquiries, at `at` by its clock. After a silence longer than its lease, it has
-    /// dropped its scripts, and does not report that when asked.
+    /// Notes that a question reached a robot at `at` by the robot's clock. A robot that takes no inquiries fails if it received nothing
+    /// for longer than its lease: it has then dropped its scripts, and does not report that when asked.
     pub(super) fn question_reached(&mut self, now: Timestamp<Server>, robot: usize, at: Timestamp<Robot>) {
         let Some(before) = self.robots[robot].reached(at) else { return };
         if self.robots[robot].takes_inquiries() {
@@ -268,8 +268,8 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// Asks again at each answer until outliers can be distinguished. A process that took over the mission initially knows a robot's link
-    /// by a single exchange, which may have been unusually slow.
+    /// Asks a robot again after each answer, until enough round trips are known to distinguish outliers. A process that took over the
+    /// mission initially knows a robot's link by a single exchange, which may have been unusually slow.
     pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
@@ -298,7 +298,7 @@ impl Mission {
         self.tell(Progress::Heard { robot: id, steps_done, clock_offset });
     }
 
-    /// How long a robot may owe an answer while it has scripts of an act that has started.
+    /// How long a robot may owe an answer while it has scripts of a committed act; `None` if no limit applies.
     pub(super) fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
         let state = &self.robots[robot];
         let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
@@ -310,7 +310,8 @@ impl Mission {
         Some(lease.unwrap_or(SILENCE_MAX) + state.round_trip())
     }
 
-    /// The time of the next check for silence: a robot will have been silent for too long, or another lease applies with its next script.
+    /// The time of the next check for silent robots: when a robot will have been silent for too long, or when another lease begins to
+    /// apply with its next script.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = |robot: usize| {
             let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;

@@ -443,9 +443,9 @@ impl Script {
         self.state = ScriptState::Unknown;
         self.lost |= self.accepted || self.perhaps_sent;
         let message = if self.accepted {
-            "the robot has lost the script, for example by a restart"
+            "the robot has lost the script, for example because it restarted"
         } else {
-            "the robot does not have the script, and its start has passed"
+            "the robot does not have the script, and the script's start has passed"
         };
         News::Failed(ControlError::new(ErrorCode::Internal, message))
     }

@@ -2,7 +2,7 @@
 //!
 //! A robot obeys any party that names its session. On the wire, a session is therefore `NAME/KEY`, and the key is 128 random bits. Users
 //! only see the name: in reports, on the display, in mission folders, in request ids. The first line of the journal contains the key, so
-//! that `resume` and `stop` have it.
+//! that the commands `resume` and `stop` can use it.
 
 use std::fmt;
 
@@ -57,7 +57,9 @@ impl<'de> Deserialize<'de> for SessionKey {
         if is_key(&digits) {
             Ok(Self(digits))
         } else {
-            Err(de::Error::custom(format!("the key of a session, expected {KEY_DIGITS} hexadecimal digits")))
+            Err(de::Error::custom(format!(
+                "invalid key of a session, expected {KEY_DIGITS} hexadecimal digits"
+            )))
         }
     }
 }

@@ -63,8 +63,8 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     answers(&mut mission, Some("three"), Err("unknown act `three`"));
     answers(&mut mission, Some("two"), Err("`two` is not waiting; `one` waits for the operator's go"));
     answers(&mut mission, Some("one"), Ok("one"));
-    answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
-    answers(&mut mission, None, Err("no act waits for the operator"));
+    answers(&mut mission, Some("one"), Err("`one` is not waiting for the operator"));
+    answers(&mut mission, None, Err("no act is waiting for the operator"));
     // Nothing was sent, so no stop is needed.
     let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
     answers(&mut mission, None, Err("the mission is over"));
@@ -466,7 +466,7 @@ fn a_script_has_to_fit_what_the_robot_itself_declares() {
     assert_eq!(greet::unfit(&script, &block(2)), Vec::<String>::new());
     assert_eq!(
         greet::unfit(&script, &block(1)),
-        ["device `a` supports 1 steps per script, but the plan has 2"]
+        ["device `a` supports at most 1 step per script, but the plan has 2"]
     );
 }
 

@@ -18,7 +18,7 @@ pub struct Zone {
 /// A time of day that the clocks skip because they are set forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{} does not exist on {}: clocks go from {} to {}",
+    "{} does not exist on {}: clocks jump from {} to {}",
     .wanted.time(), .wanted.format(DATE), .before.time(), .after.time()
 )]
 pub struct SkippedTime {
@@ -212,7 +212,7 @@ mod tests {
         let skipped = BERLIN.next(at("2027-03-27T20:00:00Z"), HOUR * 2 + MINUTE * 30).unwrap_err();
         assert_eq!(
             skipped.to_string(),
-            "02:30:00 does not exist on 28 Mar 2027: clocks go from 02:00:00 to 03:00:00"
+            "02:30:00 does not exist on 28 Mar 2027: clocks jump from 02:00:00 to 03:00:00"
         );
         assert_eq!(skipped.nearest(), "01:59:59 and 03:00:00");
         assert_eq!(skipped.at, at("2027-03-28T01:00:00Z"));

@@ -75,7 +75,7 @@ pub enum Unclear {
     },
     /// The sensor shows a movement in the opposite direction.
     #[error(
-        "the sensor shows the opposite movement: its readings changed by {seen:.4}, but {movement:.4} was commanded; check its sign, and that it belongs to this device"
+        "the sensor shows a movement in the opposite direction: its readings changed by {seen:.4}, but {movement:.4} was commanded; check the sign of the sensor, and that the sensor belongs to this device"
     )]
     WrongWay {
         /// Change of the readings, in the sensor's unit.

@@ -18,7 +18,9 @@ use downbeat_mission::{Destination, Greeting, Participant, PlanTransfer};
 
 /// The error for a robot that cannot be simulated, because the fleet file does not describe it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("robot `{robot}` has no `init:` file in the fleet file; a simulated robot requires one")]
+#[error(
+    "robot `{robot}` has no `init:` file in the fleet file; add one, because simulated robots require it"
+)]
 pub struct NoInit {
     /// The robot's id.
     pub robot: RobotId,

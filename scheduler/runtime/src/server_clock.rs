@@ -90,7 +90,7 @@ pub struct NtpReading {
 /// The error for an NTP server that did not answer.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "no NTP time from `{server}`: {reason}; check `ntp:` in the fleet file, or leave it out to trust the system clock"
+    "no NTP time from `{server}`: {reason}; check `ntp:` in the fleet file, or remove it to trust the system clock"
 )]
 pub struct NtpError {
     /// The server, as written in the fleet file.
@@ -145,7 +145,7 @@ async fn resolve(server: &str) -> Result<SocketAddr, String> {
     .map_err(|error| Refusal::of(Attempt::Connect, &error).reason)?;
     // IPv4 first, because many hosts still have no route over IPv6.
     let preferred = addresses.iter().find(|address| address.is_ipv4()).or(addresses.first());
-    preferred.copied().ok_or_else(|| "the name has no address".to_owned())
+    preferred.copied().ok_or_else(|| "the host name does not resolve to an address".to_owned())
 }
 
 /// Performs one NTP exchange. Returns a sample of NTP time minus the time of `clock`, and the server's stratum.
@@ -248,7 +248,7 @@ async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: 
             }
             Err(reason) => {
                 unanswered += 1;
-                tracing::debug!(server, reason, unanswered, "no NTP time");
+                tracing::debug!(server, reason, unanswered, "no time received from the NTP server");
             }
         }
         let lost = unanswered >= NTP_LOST_AFTER;

@@ -52,7 +52,7 @@ pub fn take_harmless() {
 
 fn take(number: i32) {
     if let Err(error) = signal_hook::flag::register(number, Arc::new(AtomicBool::new(false))) {
-        tracing::warn!("cannot handle signal {number}: {error}");
+        tracing::warn!("cannot install a handler for signal {number}: {error}");
     }
 }
 
@@ -79,7 +79,7 @@ pub fn die_of(asked: Asked) {
         let _too_late = restored.recv_timeout(RESTORED_WITHIN);
     }
     if let Err(error) = signal_hook::low_level::emulate_default_handler(asked.number()) {
-        tracing::error!("cannot end by a signal: {error}");
+        tracing::error!("cannot end the process by a signal: {error}");
     }
 }
 

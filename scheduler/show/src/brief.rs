@@ -39,7 +39,7 @@ fn starts(report: &Report) -> String {
         Some(spread) if started > 1 => {
             format!("{robots} started within {}{}{when}", rounded(spread), allowed(&report.acts))
         }
-        _ if started == 0 => "no robot reported a start".to_owned(),
+        _ if started == 0 => "no robot reported that it started".to_owned(),
         _ => format!("{robots} started{when}"),
     }
 }
@@ -58,7 +58,7 @@ fn steps(report: &Report) -> String {
     let uncertainty =
         report.robots.iter().filter_map(|robot| robot.clock).map(|clock| clock.uncertainty).max();
     let clocks = uncertainty.map_or_else(String::new, |uncertainty| {
-        format!("; their clocks are known to ±{}", rounded(uncertainty))
+        format!("; the robots' clocks are known to within {}", rounded(uncertainty))
     });
     format!("{at_least}{done} of {planned} steps played{clocks}")
 }
@@ -67,10 +67,10 @@ fn late_steps(report: &Report) -> Option<String> {
     let late = || report.robots.iter().filter(|robot| robot.late_steps > 0);
     let steps = late().map(|robot| robot.late_steps).fold(0, u64::saturating_add);
     let max = late().filter_map(|robot| robot.late_max).max();
-    let max = max.map_or_else(String::new, |max| format!(", at most {}", rounded(max)));
+    let max = max.map_or_else(String::new, |max| format!(", by at most {}", rounded(max)));
     let robots = counted(late().count(), "robot");
     let steps = counted(usize::try_from(steps).unwrap_or(usize::MAX), "step");
-    (late().count() > 0).then(|| format!("{steps} of {robots} came more than 1 ms late{max}"))
+    (late().count() > 0).then(|| format!("{steps} of {robots} were more than 1 ms late{max}"))
 }
 
 fn confirmed_stops(report: &Report) -> Option<String> {

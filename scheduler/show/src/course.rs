@@ -19,7 +19,7 @@ pub fn course_lines(report: &Report) -> Vec<String> {
     let mut lines: Vec<String> = listed.map(line).collect();
     if brief {
         let played = report.course.iter().filter(usual).count();
-        lines.insert(0, format!("{} of {} played once", played, counted(report.course.len(), "act")));
+        lines.insert(0, format!("{} of {} were played once", played, counted(report.course.len(), "act")));
     }
     lines
 }

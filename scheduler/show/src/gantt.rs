@@ -23,7 +23,7 @@ const NAME_MAX: usize = 28;
 /// Number of lines after which the ruler is repeated.
 const LINES_A_RULER: usize = 40;
 
-const LEGEND: &str = "━ plays or moves, · slack: it could start later by this much, ◆ a mark, * critical path: it determines when \
+const LEGEND: &str = "━ playing or moving, · slack: how much later it could start, ◆ mark, * critical path: determines when \
 the act ends";
 
 /// The content of one column of a bar.

@@ -30,7 +30,7 @@ pub fn requirements_table(judged: &[Judged], columns: usize) -> String {
     let of = |verdict| judged.iter().filter(|judged| judged.result == verdict).count();
     let sentence = match (of(Judgement::NotMet), of(Judgement::NotKnown)) {
         (0, 0) => "all requirements are met".to_owned(),
-        (0, unknown) => format!("no requirement is known to be unmet; {unknown} unknown"),
+        (0, unknown) => format!("no requirement is known to be unmet; the result is unknown for {unknown}"),
         (unmet, 0) => format!("{unmet} of {} requirements NOT met", judged.len()),
         (unmet, unknown) => format!("{unmet} of {} requirements NOT met, {unknown} unknown", judged.len()),
     };

@@ -22,7 +22,7 @@ const RED: Style = AnsiColor::Red.on_default().bold();
 
 /// Text for a robot that was not stopped, because another mission drives it and it holds no commands of this mission.
 pub const TAKEN_OVER: &str =
-    "not stopped: another mission already drives it, and it holds no commands of this mission";
+    "not stopped: another mission now drives it, and no commands of this mission are left on it";
 
 /// Maximum number of device ids in one line.
 const DEVICES_NAMED_MAX: usize = 6;
@@ -73,7 +73,7 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
     let (cues, rows) = (cues.text(columns), rows.text(columns) + &unlimited_line(act));
     let closest = act.in_space.closest.as_ref().map_or_else(String::new, |closest| {
         let [a, b] = &closest.robots;
-        format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
+        format!("closest approach: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
     });
     let latencies = latencies_table(act, columns);
     format!("{}\n{cues}\n{rows}\n{closest}{latencies}", act_line(act))
@@ -126,7 +126,7 @@ fn unlimited_line(act: &Act) -> String {
 pub(super) fn act_line(act: &Act) -> String {
     let lead_in = match act.lead_in {
         Span::ZERO => String::new(),
-        lead_in => format!(", first commands {lead_in} before the motions"),
+        lead_in => format!(", first commands sent {lead_in} before the motions"),
     };
     format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(act))
 }
@@ -157,7 +157,7 @@ pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     let counts = from.chunk_by(|a, b| a == b).map(|same| format!("{} from the {}", same.len(), same[0]));
     let counts: Vec<_> = counts.collect();
     Some(format!(
-        "latency compensated for {}, at most {largest} ({})",
+        "latency compensated for {}, up to {largest} ({})",
         counted(known.len(), "device"),
         counts.join(", ")
     ))
@@ -327,7 +327,7 @@ fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) ->
         TransferReport::Planned { without, .. } if without.is_empty() => None,
         TransferReport::Planned { act, without } => {
             let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
-            Some(format!("not part of `{act}`: {}", stayed.join(", ")))
+            Some(format!("robots that did not take part in `{act}`: {}", stayed.join(", ")))
         }
         TransferReport::NothingToMove => {
             Some(format!("all devices were already in their {position} positions"))
@@ -342,9 +342,8 @@ pub fn report_text(report: &Report, detail: Detail, columns: usize) -> String {
     let mut text = ending_text(report, columns);
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
-        let sentence = format!(
-            "  ended because {acts} had started, which is the limit; another act would have followed"
-        );
+        let sentence =
+            format!("  ended because the limit of {acts} was reached; another act would have followed");
         say(&mut text, columns, &sentence);
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
@@ -394,7 +393,7 @@ fn outcome_text(outcome: &Outcome) -> String {
             time_as_of(*safe_start, *start)
         ),
         Outcome::LeadTooShort { lead, needed, safe_start } => format!(
-            "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} lease, {} margin); \
+            "not sent: the lead of {lead} is too short, because this fleet needs {} ({} to prepare, {} lease, {} margin); \
              the earliest safe start was {}",
             needed.total(),
             needed.prepare,
@@ -504,7 +503,7 @@ fn full_sentences(report: &Report) -> Vec<String> {
     sentences.extend(remarks(report));
     let apart = report.true_end_spread.filter(|ends| Some(*ends - NOTABLE_DRIFT) > report.true_spread);
     sentences.extend(apart.map(|ends| {
-        format!("the last steps of scripts are {ends} apart by that clock, because the robots' clocks drift")
+        format!("the last steps of the scripts are {ends} apart by the clock of the virtual world, because the robots' clocks drift")
     }));
     sentences.extend(late_steps(report));
     sentences.extend(report.robots.iter().filter(|robot| !robot.stop.is_unconfirmed()).filter_map(stop_text));
@@ -518,11 +517,11 @@ fn start_sentence(report: &Report) -> Option<String> {
             Some(format!("only {} reported when it started", alone.robot))
         }
         (Some(spread), reported) => Some(format!(
-            "start spread {spread} over {}, by their own clocks, with the uncertainties shown above",
+            "start spread {spread} across {}, by the robots' own clocks, with the uncertainties shown above",
             counted(reported.len(), "robot")
         )),
         (None, _) if report.acts.is_empty() || disbelieved(report).next().is_some() => None,
-        (None, _) => Some("no robot reported a start".to_owned()),
+        (None, _) => Some("no robot reported that it started".to_owned()),
     }
 }
 
@@ -549,7 +548,7 @@ fn remarks(report: &Report) -> Vec<String> {
         .extend(report.robots.iter().filter(loose).map(|robot| format!("{}: {NOT_STRICT}", robot.robot)));
     sentences.extend(report.acts.iter().flat_map(|act| motions(act, of_act(report, act))));
     if let Some(spread) = report.true_spread {
-        sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
+        sentences.push(format!("true start spread {spread}, by the clock of the virtual world"));
     }
     sentences.extend(report.robots.iter().filter_map(unaccounted));
     sentences.extend(report.robots.iter().filter(|robot| robot.stop.is_unconfirmed()).filter_map(stop_text));
@@ -574,14 +573,18 @@ fn motions(act: &ActReport, of_act: String) -> Vec<String> {
     for motion in &act.motions {
         let MotionReport { robot, device, error, uncertainty, unclear, .. } = motion;
         let when = match (error, uncertainty, unclear) {
-            (Some(error), Some(uncertainty), _) => format!("{} ±{uncertainty} from the plan", signed(*error)),
+            (Some(error), Some(uncertainty), _) => {
+                format!("{} ±{uncertainty} relative to the plan", signed(*error))
+            }
             (.., Some(unclear)) => format!("at an unknown time: {unclear}"),
             _ => "at an unknown time".to_owned(),
         };
         sentences.push(format!("{of_act}`{device}` of {robot} began to move {when}"));
     }
     sentences.extend(act.motion_spread.map(|MotionSpread { spread, uncertainty, motions }| {
-        format!("{of_act}motion spread {spread} ±{uncertainty} over {motions} motions, by their sensors")
+        format!(
+            "{of_act}motion spread {spread} ±{uncertainty} across {motions} motions, according to the sensors"
+        )
     }));
     sentences
 }
@@ -604,12 +607,12 @@ fn late_steps(report: &Report) -> Vec<String> {
     let omitted = devices.len().saturating_sub(LATE_LISTED_MAX);
     devices.truncate(LATE_LISTED_MAX);
     let line = |((robot, device), (count, max)): ((&RobotId, &DeviceId), (u32, Option<Span>))| {
-        let worst = max.map_or_else(String::new, |max| format!(", {max} at most"));
-        format!("{robot}: {} of `{device}` late by more than 1 ms{worst}", counted(count as usize, "step"))
+        let worst = max.map_or_else(String::new, |max| format!(", by at most {max}"));
+        format!("{robot}: {} of `{device}` more than 1 ms late{worst}", counted(count as usize, "step"))
     };
     let mut lines: Vec<_> = devices.into_iter().map(line).collect();
     if omitted > 0 {
-        lines.push(format!("{} more with late steps", counted(omitted, "device")));
+        lines.push(format!("{} with late steps", counted(omitted, "more device")));
     }
     lines
 }
@@ -629,7 +632,7 @@ fn stop_text(robot: &RobotReport) -> Option<String> {
             format!("stop NOT confirmed; its lease ends at {}", time_of_day(at))
         }
         StopState::Unconfirmed { lease_ends: None } => {
-            "stop NOT confirmed; it has no lease, so it does not stop by itself".to_owned()
+            "stop NOT confirmed; it has no lease, so it will not stop by itself".to_owned()
         }
     };
     Some(format!("{}: {rest}", robot.robot))

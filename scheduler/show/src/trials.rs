@@ -50,7 +50,7 @@ pub fn trials_text(results: &Results, columns: usize) -> String {
     }
     if let Some(lead) = &results.lead {
         text += &format!(
-            "\nlead: {} used; {} would have been sufficient in 99 % of the decided acts, {} in all of them",
+            "\nlead: {} used; {} would have sufficed for 99 % of the decided acts, and {} for all of them",
             lead.had.p50, lead.enough.p99, lead.enough.max
         );
         if lead.undecided > 0 {
@@ -101,7 +101,7 @@ fn robots(results: &Results, columns: usize) -> String {
 fn more(count: usize, thing: &str) -> String {
     match count.saturating_sub(LISTED_MAX) {
         0 => String::new(),
-        more => format!("and {} more; --format json lists all\n", counted(more, thing)),
+        more => format!("and {}; --format json lists all of them\n", counted(more, &format!("more {thing}"))),
     }
 }
 

@@ -102,10 +102,12 @@ impl Braking {
             let most = accelerates? * (1.0 + ERROR) + grain;
             let steepest = self.rates().into_iter().fold(0.0, |most: f64, rate| most.max(rate.abs()));
             let turns = stays && self.values.windows(2).any(|two| two[1].abs() > two[0].abs());
-            let harder = format!("changed its speed by {steepest} a second, and declares {accelerates:?}");
+            let harder = format!(
+                "changed its speed by {steepest} per second, but declares a maximum acceleration of {accelerates:?}"
+            );
             return (steepest > most)
                 .then_some(harder)
-                .or_else(|| turns.then(|| "sped up in a stop".to_owned()));
+                .or_else(|| turns.then(|| "sped up during a stop".to_owned()));
         }
         let rates = self.rates();
         let (before, error) = rate.unwrap_or((rates[0], f64::INFINITY));
@@ -116,7 +118,10 @@ impl Braking {
             let most = fastest * interval * (1.0 + ERROR) + grain;
             change = rates.windows(2).map(|two| (two[1] - two[0]).abs()).fold(change, f64::max);
             (change > most).then(|| {
-                format!("slowed down by {} a second squared, and may by {fastest}", change / interval)
+                format!(
+                    "slowed down at {} per second squared, but at most {fastest} is allowed",
+                    change / interval
+                )
             })
         });
         let turns = stays
@@ -129,8 +134,11 @@ impl Braking {
             .copied()
             .filter(|_| !stays)
             .find(|rate| speed.is_some_and(|speed| rate.abs() > speed));
-        hard.or_else(|| turns.then(|| "turned back in a stop".to_owned()))
-            .or_else(|| fast.map(|rate| format!("went home at {rate} a second")))
+        hard.or_else(|| turns.then(|| "reversed direction during a stop".to_owned())).or_else(|| {
+            fast.map(|rate| {
+                format!("returned to its default position at {rate} per second, which is too fast")
+            })
+        })
     }
 }
 

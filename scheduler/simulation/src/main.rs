@@ -173,9 +173,9 @@ impl Found {
         for (name, counts) in ["downbeat", "broadcast go", "sequential go"].iter().zip(&self.counts) {
             counts.row(name);
         }
-        let causes = "why starts were mixed, each by a fault within its window";
+        let causes = "why starts were mixed: a fault within its window";
         self.print_excuses('a', causes, self.counts[0].acts);
-        self.print_excuses('f', "why robots started beyond the skew budget", self.counts[0].acts);
+        self.print_excuses('f', "why robots started outside the skew budget", self.counts[0].acts);
         self.print_met();
         self.print_situations();
         say!("");
@@ -195,13 +195,13 @@ impl Found {
     fn print_met(&self) {
         say!("");
         let stages: String = Stage::ALL.iter().map(|stage| format!("{stage:>10}")).collect();
-        say!("{:<23}{stages}", "faults, by the stage");
+        say!("{:<24}{stages}", "faults by stage");
         for kind in FaultKind::ALL {
             let count = |stage: &Stage| match self.met.get(&(kind, *stage)) {
                 _ if !stage.meets(kind) => format!("{:>10}", "-"),
                 count => format!("{:>10}", count.copied().unwrap_or_default()),
             };
-            say!("{kind:<23}{}", Stage::ALL.iter().map(count).collect::<String>());
+            say!("{kind:<24}{}", Stage::ALL.iter().map(count).collect::<String>());
         }
     }
 
@@ -223,11 +223,14 @@ impl Found {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
         let missing = missing.filter(|_| seeds >= SEEDS_FOR_EACH_STAGE);
-        let missing = missing.map(|(kind, stage)| format!("no mission met `{kind}` at the stage `{stage}`"));
+        let missing =
+            missing.map(|(kind, stage)| format!("the fault `{kind}` never occurred at the stage `{stage}`"));
         let reached = |situation: &Situation| self.situations.contains_key(situation);
         let never = Situation::ALL.into_iter().filter(|_| seeds >= SEEDS_FOR_EACH_STAGE);
         let never = never.filter(|situation| !reached(situation));
-        missing.chain(never.map(|situation| format!("no mission reached: {situation}"))).collect()
+        missing
+            .chain(never.map(|situation| format!("no mission reached this situation: {situation}")))
+            .collect()
     }
 
     /// Lists the causes that excuse violations in more acts than permitted.
@@ -240,8 +243,8 @@ impl Found {
             let share = percent(excused.count, acts);
             let largest = 100.0 * cause.largest_share(invariant);
             let what = format!(
-                "({invariant}) `{cause}` excuses {share:.3} % of acts, and may excuse {largest:.3} %; the first \
-                 of these seeds is {}",
+                "({invariant}) `{cause}` excuses {share:.3} % of acts, but at most {largest:.3} % are allowed; the first \
+                 such seed is {}",
                 excused.first
             );
             (excused.count as f64 > most).then_some(what)
@@ -338,11 +341,11 @@ fn progress(seeds: u64) -> ProgressBar {
 /// Prints the shortest mission that shows the violation of a seed, and the command to repeat it.
 fn tell(seed: u64) -> ExitCode {
     let Some(shrunk) = simulation::shrunk(seed) else {
-        say!("\nseed {seed} violates nothing; `soak --trace {seed}` prints its trace");
+        say!("\nseed {seed} violates no invariant; `soak --trace {seed}` prints its trace");
         return ExitCode::SUCCESS;
     };
-    say!("\nThe shortest trace of seed {seed} that violates ({}):\n", shrunk.invariant);
+    say!("\nThe shortest trace of seed {seed} that violates invariant ({}):\n", shrunk.invariant);
     say!("{}", simulation::trace(&simulation::play_verbosely(shrunk.drawn)).trim_end());
-    say!("\nTo reproduce it: `soak --seed {seed}`; the whole trace: `soak --trace {seed}`");
+    say!("\nTo reproduce it: `soak --seed {seed}`; for the whole trace: `soak --trace {seed}`");
     ExitCode::FAILURE
 }

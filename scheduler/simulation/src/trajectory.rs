@@ -158,21 +158,21 @@ fn to_rest<'a>(
     match entry.motion {
         // A device that goes home may be sent home again, and a device that slows down may be stopped again.
         _ if goes_home => Ok(rests),
-        MotionKind::Default => Err("went to its default state, and no stop said home".to_owned()),
+        MotionKind::Default => Err("went to its default state, but no stop requested that".to_owned()),
         _ if !is_position => match entry.value {
             0.0 => Ok(rests),
-            _ => Err("came to rest at a speed".to_owned()),
+            _ => Err("came to rest with a speed other than zero".to_owned()),
         },
         _ => {
             let before = before.filter(|movement| entry.due < movement.until);
-            let movement = before.ok_or("was moved by a stop although it rested")?;
+            let movement = before.ok_or("was moved by a stop although it was at rest")?;
             let Some(value) = movement.value(entry.due) else { return Ok(rests) };
             let off = entry.value - value;
             let goes_on = entry.motion == MotionKind::Slow && off * (movement.to - value) >= 0.0;
             if is_rounded(off, value) || goes_on {
                 Ok(rests)
             } else {
-                Err(format!("was at {value} when a stop moved it"))
+                Err(format!("was at {value}, but a stop moved it elsewhere"))
             }
         }
     }
@@ -198,12 +198,13 @@ fn flaw(
         let limited = braking::acceleration(device)?;
         let moves = if is_position { rate.map(|(rate, _)| rate)? } else { value? };
         let at_once = entry.motion == MotionKind::Rest && moves.abs() > ROUNDING;
-        return at_once
-            .then(|| format!("stopped at once from {moves}, and declares an acceleration of {limited}"));
+        return at_once.then(|| {
+            format!("stopped at once from {moves}, although it declares a maximum acceleration of {limited}")
+        });
     };
     let begins = braking.values.first().copied().unwrap_or_default();
     if let Some(value) = value.filter(|value| !is_rounded(begins - value, *value)) {
-        return Some(format!("was at {value}, and slows down from {begins}"));
+        return Some(format!("was at {value}, but slowed down from {begins}"));
     }
     braking.flaw(device, rate, !goes_home)
 }
@@ -215,14 +216,14 @@ fn of_a_step<'a>(
 ) -> Result<Movement<'a>, String> {
     let script = script.ok_or("moved without a script of this mission")?;
     if *script.device != entry.device {
-        return Err("moved by a script of another device".to_owned());
+        return Err("moved because of a script for another device".to_owned());
     }
     let index = entry.step.unwrap_or_default() as usize;
     let Some(written) = script.written else { return Ok(Movement::at(entry.value, entry.due)) };
-    let step = written.steps().get(index).ok_or("did a step that was not written")?;
+    let step = written.steps().get(index).ok_or("executed a step that is not in its script")?;
     let same_type = is_of(entry, step.setpoint.control_type);
     if !same_type || (step.setpoint.value - entry.value).abs() > 0.0 {
-        return Err(format!("did step {index}, written as {:?}", step.setpoint));
+        return Err(format!("executed step {index}, but the script contains {:?} there", step.setpoint));
     }
     if entry.is_set() {
         return Ok(Movement::at(entry.value, entry.due));

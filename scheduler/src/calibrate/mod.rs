@@ -60,7 +60,9 @@ pub enum NotMeasured {
         from: f64,
     },
     /// The movement would exceed the device's limits.
-    #[error("the movement from {from} to {to} would exceed the limits {least} to {largest}")]
+    #[error(
+        "the movement from {from} to {to} would exceed the limits {least} to {largest}; correct `from` or `by`"
+    )]
     BeyondLimits {
         /// The position at which the movement would start.
         from: f64,

@@ -90,7 +90,7 @@ fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice
     let sensor = sensor.ok_or_else(|| format!("the robot has no sensor `{}`", how.sensor))?;
     let script = device.available_control_types.script();
     let script =
-        script.ok_or("the robot does not support scripts, so a movement of limited speed is not possible")?;
+        script.ok_or("the robot does not support scripts, so the speed of the movement cannot be limited")?;
     let rates = robot.limits.get(device.id.as_str()).copied().unwrap_or_default();
     let speed = rates.or_declared(device, ControlType::Position).speed;
     let at_speed = speed.map(|speed| Span::from_millis_f64(1000.0 * how.by.abs() / (speed * SPEED_SHARE)));

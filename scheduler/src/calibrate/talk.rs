@@ -18,13 +18,13 @@ use crate::mission::Event;
 use crate::server_clock::ServerClock;
 use crate::session::Session;
 
-/// Number of exchanges with which the robot's clock is measured.
+/// Number of message exchanges that measure the robot's clock.
 const EXCHANGES: u32 = 16;
-/// Maximum permitted error of a robot's clock that follows NTP.
+/// Maximum permitted error of the clock of a robot that follows NTP.
 const CLOCK_OFF_MAX: Span = Span::from_millis(10);
 /// Duration of the lease of each movement. A robot that receives nothing for this long ends the movement by itself.
 const LEASE: Span = Span::from_millis(1_000);
-/// Minimum delay between a request and its start, so that the request arrives in time.
+/// Minimum time from sending a script to its start, so that the script arrives in time.
 const LEAD: Span = Span::from_millis(150);
 
 /// Why the dialogue with a robot failed.
@@ -34,7 +34,7 @@ pub enum DialogueError {
     /// The link broke, or the robot could not be reached.
     #[error("{0}")]
     Link(String),
-    /// The robot does not answer.
+    /// The robot does not answer within the contained time.
     #[error("no answer within {0}")]
     Silent(Span),
     /// Another session drives the robot.
@@ -52,7 +52,7 @@ pub enum DialogueError {
         reason: String,
     },
     /// Another robot answers at the address.
-    #[error("another robot: its id is `{found}`, expected `{expected}`")]
+    #[error("a different robot answered: its id is `{found}`, expected `{expected}`")]
     Another {
         /// The id that the robot reports.
         found: String,
@@ -65,7 +65,7 @@ pub enum DialogueError {
     )]
     Different(DeviceId),
     /// The robot's clock differs from the server's clock by the contained amount.
-    #[error("its clock is off by {0}: check its NTP")]
+    #[error("its clock is off by {0}; check its NTP synchronization")]
     Clock(Span),
 }
 
@@ -79,7 +79,7 @@ pub struct RobotDialogue {
     estimate: ClockEstimate,
     patience: Span,
     asked: u64,
-    /// Reports about movements that arrived while the dialogue waited for something else.
+    /// Reports about movements that arrived while the dialogue waited for another message.
     reports: VecDeque<ControlResponse>,
 }
 
@@ -127,7 +127,7 @@ impl RobotDialogue {
         Ok(talk)
     }
 
-    /// Returns the estimate of the robot's clock and of the delay to the robot.
+    /// Returns the estimate of the robot's clock and of the delay to the robot. Returns `None` before the first exchange.
     #[must_use]
     pub fn clock_reading(&self) -> Option<ClockReading> {
         self.estimate.reading()
@@ -154,12 +154,12 @@ impl RobotDialogue {
                 event => Ok(Some((at, event))),
             },
             Ok(Some(Happened::Event { at, event })) => Ok(Some((at, *event))),
-            Ok(_) => Err(DialogueError::Link("the link ended".to_owned())),
+            Ok(_) => Err(DialogueError::Link("the link was closed".to_owned())),
         }
     }
 
     fn say(&self, message: Message) -> Result<(), DialogueError> {
-        let full = |_| DialogueError::Link("the robot does not read its incoming messages".to_owned());
+        let full = |_| DialogueError::Link("the robot is not reading its incoming messages".to_owned());
         self.link.send(message, Urgency::InOrder).map_err(full)
     }
 
@@ -270,7 +270,7 @@ impl RobotDialogue {
     /// Requests a reading of a sensor, and repeats the request if the reading is missed, for example because the sensor is busy.
     ///
     /// # Errors
-    /// Returns [`DialogueError`], also if several consecutive readings are missed.
+    /// Returns [`DialogueError`] if the robot does not answer, if it cannot be used, or if several consecutive readings are missed.
     pub async fn read_again(
         &mut self,
         sensor: &DeviceId,
@@ -284,7 +284,7 @@ impl RobotDialogue {
         self.read(sensor).await
     }
 
-    /// Sends a script that starts later. Returns the start time on the server's clock, and the request id.
+    /// Sends a script that starts at least `lead` later. Returns the start time on the server's clock, and the request id.
     ///
     /// # Errors
     /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
@@ -343,7 +343,7 @@ impl RobotDialogue {
     /// Orders a device to stay where it is.
     ///
     /// # Errors
-    /// Returns [`DialogueError`]. The device may not be at rest in that case.
+    /// Returns [`DialogueError`] if the order is not confirmed. In that case, the device may not be at rest.
     pub async fn hold(&mut self, device: &DeviceId) -> Result<(), DialogueError> {
         let stop = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
         let (_, _, response) = self.ask(stop).await?;
@@ -383,7 +383,7 @@ fn refusal(error: Option<&urrcp::ControlError>) -> DialogueError {
     }
 }
 
-/// Returns an error for a different robot, or for a robot whose devices differ from the init file.
+/// Returns an error if a different robot answers, or if the robot's devices differ from the init file.
 fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), DialogueError> {
     let Some(expected) = &robot.init else { return Ok(()) };
     if block.id != expected.id {

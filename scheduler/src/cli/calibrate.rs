@@ -122,7 +122,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
             Some(false) => return Exit::Done,
             None => {
                 return usage(
-                    "devices would move, and there is no terminal to ask for confirmation; add --yes if the movement is safe",
+                    "devices would move, but there is no terminal to ask for confirmation; add --yes if the movement is safe",
                 );
             }
         }
@@ -170,7 +170,7 @@ fn told(
             return if exit == Exit::Done { Exit::Unwritten } else { exit };
         }
         Ok(true) => console::note(&format!(
-            "wrote {}; the file takes effect only if {} names it as `latency:`",
+            "wrote {}; it takes effect only if {} names it with the key `latency`",
             path.display(),
             args.fleet.display()
         )),
@@ -325,7 +325,7 @@ async fn one(
         });
         outcomes.push(Outcome { robot: robot.clone(), device: device.device.to_string(), result });
         if let Err(error) = held {
-            console::error(&format!("{name}: may still be moving: {error}; its movement ends within 2 s"));
+            console::error(&format!("{name} may still be moving: {error}; the movement ends within 2 s"));
             return Exit::Unconfirmed;
         }
         if is_interrupted || link_lost {

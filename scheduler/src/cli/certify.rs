@@ -84,7 +84,7 @@ fn text(plan: &Plan<'_>, subject: &Subject, trials: &[Trial], written: Option<&P
     }
     match written {
         Some(path) => {
-            text.push_str("  without a fault, the mission is completed; with each fault, every act started on all of its robots or on none, and all robots came to rest\n");
+            text.push_str("  without a fault, the mission was completed; with each fault, every act started on all of its robots or on none, and all robots came to rest\n");
             text.push_str(&format!(
                 "certified plan {} for fleet {}: `{}`\n",
                 short(subject.plan_hash),
@@ -129,7 +129,7 @@ impl CertifiedArgs {
             return Ok(());
         }
         let error =
-            format!("`{}` does not certify this plan and this fleet, so nothing is sent", path.display());
+            format!("`{}` does not certify this plan and this fleet, so nothing was sent", path.display());
         match format {
             Format::Json => {
                 console::print_json(&json!({ "error": error, "differences": differences }));
@@ -138,7 +138,7 @@ impl CertifiedArgs {
                 console::error(&format!("{error}:"));
                 differences.iter().for_each(|difference| console::note(&format!("  {difference}")));
                 console::note(
-                    "  `downbeat dry-run --certify` with the same options certifies the current plan and fleet",
+                    "  to certify the current plan and fleet, run `downbeat dry-run --certify` with the same options",
                 );
             }
         }

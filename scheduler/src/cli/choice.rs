@@ -108,7 +108,7 @@ pub(super) fn choose(
     }
     if let Some(speed) = asked.speed {
         chosen = chosen.at_speed(speed, fleet).map_err(|faults| {
-            console::error(&format!("the show is not possible at {speed} times its speed:"));
+            console::error(&format!("the show cannot be played at {speed} times its speed:"));
             faults.iter().for_each(|fault| console::note(&format!("  {fault}")));
             Exit::Failed
         })?;

@@ -184,9 +184,9 @@ fn resolve(host: &str, port: u16) -> Result<SocketAddr, (String, Exit)> {
         (format!("no connection to {host}:{port}: {refusal}"), Exit::Failed)
     };
     let mut found = (host, port).to_socket_addrs().map_err(unknown)?;
-    found
-        .next()
-        .ok_or_else(|| (format!("the host name `{host}` has no address; check the name"), Exit::Failed))
+    found.next().ok_or_else(|| {
+        (format!("the host name `{host}` does not resolve to an address; check the name"), Exit::Failed)
+    })
 }
 
 fn list(format: Format) {
@@ -292,7 +292,7 @@ fn text(examined: &Examined) -> String {
     let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();
     let _written = writeln!(
         text,
-        "\n{} pass, {} fail, {} not applicable{}",
+        "\n{} passed, {} failed, {} not applicable{}",
         count(Verdict::Pass),
         count(Verdict::Fail),
         count(Verdict::NotApplicable),

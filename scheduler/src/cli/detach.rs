@@ -43,7 +43,7 @@ pub(super) fn detached_as() -> Option<SessionId> {
         let keeping =
             std::thread::Builder::new().name("log".to_owned()).spawn(move || keep_log(&state, &folder));
         if let Err(error) = keeping {
-            console::warn(&format!("the log is not restored if it is removed: {error}"));
+            console::warn(&format!("the log will not be restored if it is removed: {error}"));
         }
     }
     Some(session)
@@ -177,7 +177,7 @@ fn announce(session: &SessionId, process: u32, log: PathBuf, format: Format) {
             console::print_json(&serde_json::json!({"mission": session, "process": process, "log": log}));
         }
         Format::Text => console::print(&format!(
-            "mission {session} runs in the background, process {process}\n  follow it: tail -f {}\n  stop it:   downbeat stop {session}\n",
+            "mission {session} is running in the background (process {process})\n  follow it: tail -f {}\n  stop it:   downbeat stop {session}\n",
             shown(&log.display().to_string())
         )),
     }

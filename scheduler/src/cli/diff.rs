@@ -20,7 +20,7 @@ folders of missions are compared by the scripts that were sent and their results
 Exit codes:
   0  no difference
   1  they differ
-  2  one of them cannot be read, does not compile, or they are of different kinds
+  2  one of them cannot be read or does not compile, or they are of different kinds
 
 Examples:
   downbeat diff show.yaml changed.yaml
@@ -115,7 +115,7 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
         }
         let other = OtherPlan { name: args.a.display().to_string(), choreography: &plan_a, found: &found };
         let (played, told) = dry_run::rehearse(&plan_b, &fleet_b, format).map_err(|(_, error)| {
-            refused(&format!("cannot simulate `{}` for the page: {error}", args.b.display()))
+            refused(&format!("cannot simulate `{}` for the HTML page: {error}", args.b.display()))
         })?;
         let rehearsed = Rehearsed {
             choreography: &plan_b,

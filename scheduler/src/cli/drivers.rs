@@ -31,5 +31,5 @@ impl DriverArgs {
 fn timeout(text: &str) -> Result<Duration, String> {
     let time = parse_span(text)?.to_duration();
     let fits = time >= Duration::from_millis(10) && time <= Duration::from_secs(600);
-    if fits { Ok(time) } else { Err("expected 10ms to 600s".to_owned()) }
+    if fits { Ok(time) } else { Err("expected a time from 10ms to 600s".to_owned()) }
 }

@@ -26,7 +26,7 @@ use crate::trials::Trials;
 #[command(
     after_help = "A dry run opens no connections and does not wait, so an hour of a show takes only moments. All robots are \
 simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
-one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
+one second after the previous act has ended. An act that waits for a sensor gets the reading that it waits for, unless \
 --reading sets another. Acts that repeat forever end after a while. The requirements of the scenario (`require`) are checked: if one of them is not met, the \
 exit code is 1.
 
@@ -180,7 +180,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     if let Some(acts) = played.report.acts_max_reached.filter(|_| args.acts.is_none()) {
         let acts = counted(acts as usize, "act");
         console::note(&format!(
-            "the dry run ended after {acts} ({ROUNDS} times the acts of the scenario); --acts sets another limit"
+            "the dry run ended after {acts} ({ROUNDS} times the number of acts in the scenario); --acts sets another limit"
         ));
     }
     if unmet { Exit::Failed } else { super::run::exit_of(&played.report) }

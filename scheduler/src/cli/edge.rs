@@ -115,7 +115,9 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     if let Some(missing) = missing_program(&args.driver) {
-        return failed(&format!("the program `{missing}` of --driver does not exist; correct its path"));
+        return failed(&format!(
+            "the program `{missing}` named by --driver does not exist; correct its path"
+        ));
     }
     let driver = match args.driver.driver_within(&block, args.patience.timeouts()) {
         Ok(driver) => driver,

@@ -179,15 +179,15 @@ fn show_problems(answers: &[Answer]) {
     }
 }
 
-/// Returns the fault of a robot that answers: it is not the expected robot, or its clock is wrong.
+/// Returns the fault, if any, of a robot that answers: it is not the expected robot, or its clock is wrong.
 fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> Option<String> {
     let expected = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
     if let Some(block) = answer.block.as_ref().filter(|block| block.id != *expected) {
-        return Some(format!("another robot: its id is `{}`, expected `{expected}`", block.id));
+        return Some(format!("a different robot answered: its id is `{}`, expected `{expected}`", block.id));
     }
     let (reading, tolerance) = (answer.clock.as_ref()?, tolerance?);
     let off = robot.mission.clock == ClockMode::Ntp && reading.offset.abs() - reading.uncertainty > tolerance;
-    off.then(|| format!("clock off by more than {tolerance}: check its NTP"))
+    off.then(|| format!("its clock is off by more than {tolerance}; check its NTP synchronization"))
 }
 
 fn describe(args: &DescribeArgs, format: Format) -> Exit {
@@ -347,7 +347,7 @@ async fn ask(
                 _ => {}
             }
         }
-        Some("the link ended".to_owned())
+        Some("the link was closed".to_owned())
     };
     let problem = tokio::time::timeout(patience.to_duration(), talk).await;
     let silent = || format!("no answer within {patience}; check that the program at this address is a robot");

@@ -51,7 +51,7 @@ pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
             Ok(Err(reason)) => refused(name, &reason, format),
             Err(unheard) => {
                 let pid = found.opened.pid;
-                refused(name, &format!("the scheduler of `{name}`, process {pid}: {unheard}"), format)
+                refused(name, &format!("the scheduler of `{name}` (process {pid}): {unheard}"), format)
             }
         }
     })

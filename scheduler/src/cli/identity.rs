@@ -48,13 +48,13 @@ pub(super) fn site(fleet: &Fleet) -> Result<Site, String> {
     site_of(&keys(fleet))
 }
 
-/// Returns the credentials and networks for a robot that is in no fleet file. Only the environment names the files in that case.
+/// Returns the credentials and networks for a robot that is in no fleet file. In that case, only environment variables name the files.
 pub(super) fn site_of_terminal() -> Result<Site, String> {
     site(&Fleet::default())
 }
 
-/// Returns the desk that identifies operators for a mission with these key files. If the files cannot be used, prints a warning and
-/// returns `None`: identities are then ignored.
+/// Returns the desk, which identifies operators and checks their permissions, for a mission with these key files. If the files cannot be
+/// used, prints a warning and returns `None`. The mission then ignores identities.
 pub(super) fn desk(keys: &OpenedKeys) -> Option<Desk> {
     Desk::of(keys).unwrap_or_else(|error| {
         console::warn(&format!("operators at other terminals cannot be identified: {error}"));
@@ -96,7 +96,7 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     if let Some(held) = soon.iter().find(|held| !with_identity(held)) {
         let days = (held.claim.expires - now) / DAY;
         console::warn(&format!(
-            "the pass for robot {} expires in {days} days; copy the new file of passes that `downbeat keys renew` writes",
+            "the pass for robot {} expires in {days} days; run `downbeat keys renew`, then copy the new passes file",
             held.robot
         ));
     }
@@ -105,7 +105,7 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
         if days < SOON {
             let name = &identity.name;
             console::warn(&format!(
-                "the certificate of {name} expires in {days} days; `downbeat keys renew` makes a new one"
+                "the certificate of {name} expires in {days} days; create a new one with `downbeat keys renew`"
             ));
         }
     }

@@ -91,7 +91,7 @@ pub(super) struct ImportArgs {
     scale: Vec<(String, f64)>,
 }
 
-const URDF: (&str, &str) = ("urdf", "a description of a robot");
+const URDF: (&str, &str) = ("urdf", "a robot description");
 
 fn after_help() -> String {
     let formats = ImportFormat::ALL.iter().map(|facts| (facts.word, facts.about)).chain([URDF]);

@@ -219,7 +219,7 @@ fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
         Format::Text => console::print(&format!(
             "created an authority in {}\n\
              next: `downbeat keys robot ID` for each robot, `downbeat keys operator NAME --role observe,drive,stop` for yourself\n\
-             keep {folder}/authority.key secret, and a copy of it in a safe place: anyone who has it can make keys\n",
+             keep {folder}/authority.key secret, and keep a copy of it in a safe place: anyone who has it can create keys\n",
             shown(&folder)
         )),
     }
@@ -250,7 +250,7 @@ fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
         }
         Format::Text => {
             for (robot, path) in robots.iter().zip(&paths) {
-                let line = format!("robot {robot}: {}; operators have passes for it", path.display());
+                let line = format!("robot {robot}: {}; operators now have passes for it", path.display());
                 console::print(&format!("{}\n", shown(&line)));
             }
         }

@@ -114,7 +114,7 @@ impl Way {
         };
         if let Some(endpoint) = networks.open_endpoint().filter(|_| !anyone) {
             return Err(format!(
-                "the Zenoh configuration uses {endpoint}, where anyone on the network path could drive the robot; use tls/, or add --insecure if the network is isolated"
+                "the Zenoh configuration uses {endpoint}, where anyone on the network path could drive the robot; use a tls/ endpoint, or add --insecure if the network is isolated"
             ));
         }
         self.joined = Some(networks.clone());

@@ -41,7 +41,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
         }
     };
     let (fleet_path, (fleet, mut findings)) = read_fleet(args, &source);
-    say_how_to_name_it(&mut findings, "`--fleet FILE` names one");
+    say_how_to_name_it(&mut findings, "or name one with `--fleet FILE`");
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
         let compiled = downbeat_scripts::compile(&source, fleet, &folder(args));
@@ -68,7 +68,7 @@ pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
         return Some("`-` is not a file; expected a name such as show.html".to_owned());
     }
     let replaced = sources.iter().find(|source| whole(page).is_some() && whole(page) == whole(source))?;
-    Some(format!("this would replace its own source `{}`; choose another name", replaced.display()))
+    Some(format!("the output would overwrite its own source `{}`; choose another name", replaced.display()))
 }
 
 /// Returns the folder to which the paths of the scenario's includes are relative.

@@ -48,7 +48,7 @@ impl MetricsArgs {
             format!("cannot serve metrics at {address}: {refusal}")
         })?;
         if format == Format::Text {
-            super::console::note(&format!("metrics are at http://{address}/metrics"));
+            super::console::note(&format!("metrics are served at http://{address}/metrics"));
         }
         Ok(Metrics { board: Some(board) })
     }

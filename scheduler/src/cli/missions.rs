@@ -64,9 +64,9 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
     match format {
         Format::Json => console::print_json(&rows),
         Format::Text if rows.is_empty() && unread > 0 => {
-            console::note("no other mission runs, and none was cut off");
+            console::note("no other mission is running, and none was cut off");
         }
-        Format::Text if rows.is_empty() => console::note("no mission runs, and none was cut off"),
+        Format::Text if rows.is_empty() => console::note("no mission is running, and none was cut off"),
         Format::Text => {
             let mut table = Rows::new(&["mission", "state", "process", "robots", "scenario"], 5);
             for row in rows {
@@ -95,13 +95,13 @@ pub(super) fn listed() -> Result<Missions, Exit> {
     let state = journal::state_folder().map_err(|error| told(&error.to_string()))?;
     let missions = Missions::of(&state).map_err(|error| told(&unusable(&state, &error)))?;
     for refused in &missions.refused {
-        console::warn(&format!("{refused}; if a mission runs there, this command does not reach it"));
+        console::warn(&format!("{refused}; if a mission is running there, this command cannot reach it"));
     }
     for journal in &missions.damaged {
         let why = match journal::read(journal) {
             Err(other @ Unreadable::OtherVersion { .. }) => other.to_string(),
             _ => format!(
-                "the first line of {} cannot be read, so the robots of its mission are not known; make sure that no robot moves, then delete the file",
+                "the first line of {} cannot be read, so the robots of its mission are unknown; make sure that no robot is moving, then delete the file",
                 journal.display()
             ),
         };
@@ -113,7 +113,7 @@ pub(super) fn listed() -> Result<Missions, Exit> {
 /// Returns the error message for missions that cannot be listed.
 pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
     match NotPrivate::of(error) {
-        Some(refused) => format!("cannot use the missions of this machine: {refused}"),
+        Some(refused) => format!("cannot access the missions of this machine: {refused}"),
         None => {
             let refusal = Refusal::of(Attempt::Read(state), error).reason;
             format!("cannot read the missions in {}: {refusal}", state.display())
@@ -124,7 +124,7 @@ pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
 /// Returns the mission with this name and state. Without a name, there must be exactly one mission with this state.
 pub(super) fn one(named: Option<&str>, life: MissionState, format: Format) -> Result<Found, Exit> {
     let (what, what_several) = match life {
-        MissionState::Running => ("runs", "run"),
+        MissionState::Running => ("is running", "are running"),
         MissionState::CutOff => ("was cut off", "were cut off"),
         MissionState::Ended => ("has ended", "have ended"),
     };
@@ -158,7 +158,7 @@ pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
     let text = match named {
         Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists all missions"),
         None if what == "was cut off" => format!("no mission {what}, so there is nothing to resume"),
-        None if what == "runs" => format!("no mission {what}; start one with `downbeat run SCENARIO`"),
+        None if what == "is running" => format!("no mission {what}; start one with `downbeat run SCENARIO`"),
         None => format!(
             "no mission {what}, so there is nothing to stop; `downbeat missions --all` lists those that ended"
         ),

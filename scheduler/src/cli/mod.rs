@@ -81,7 +81,7 @@ Exit codes:
   3  stopped by the operator; every robot confirmed the stop
   4  ended, but a robot did not confirm its stop
   5  done, but robots failed on the way or acts were skipped
-  6  played to the end, but not as promised, or it is unknown
+  6  played to the end, but late, out of tolerance, or with unknown results
   7  done, but the output or the recording could not be written
 
 It is not an error if the reader of a pipe ends first, as in `downbeat plan show.yaml | head`."
@@ -212,9 +212,9 @@ pub enum Exit {
     Stopped = 3,
     /// The stop of at least one robot is not confirmed.
     Unconfirmed = 4,
-    /// Done, without robots that failed on the way, or without acts whose wait timed out.
+    /// The mission ended, but without robots that failed on the way, or without acts whose wait timed out.
     DoneWithout = 5,
-    /// Played to its end, but not known to be as promised: robots were too far apart, or cannot report what they did.
+    /// The mission played to its end, but perhaps not as promised: robots were too far apart, or cannot report what they did.
     Uncertain = 6,
     /// Done, but standard output or the recording could not be written.
     Unwritten = 7,
@@ -288,7 +288,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(console::finish(exit) as u8)
 }
 
-/// Whether the arguments request JSON output. It works even if they cannot be parsed.
+/// Whether the arguments request JSON output. Also works for arguments that cannot be parsed.
 fn wants_json() -> bool {
     let args: Vec<_> = std::env::args().collect();
     let apart = args.windows(2).any(|two| two[0] == "--format" && two[1] == "json");
@@ -313,7 +313,7 @@ fn told_by_clap(error: &clap::Error) -> Exit {
 
 fn log_filter(text: &str) -> Result<Targets, String> {
     text.parse().map_err(|_| {
-        "expected `error`, `warn`, `info`, `debug` or `trace`, perhaps for a part, as in `downbeat=debug`"
+        "expected `error`, `warn`, `info`, `debug` or `trace`, optionally for one part of the program, as in `downbeat=debug`"
             .to_owned()
     })
 }

@@ -241,7 +241,7 @@ fn write_entry(shared: &Shared, entry: Entry, display: &mut Option<Box<dyn Displ
         Entry::Text(stream, text) => write(shared, stream, text.as_bytes()),
         Entry::Dropped(lines) => {
             let lines = downbeat_scripts::counted(lines, "line");
-            let text = format!("({lines} dropped here, because this output was not read)\n");
+            let text = format!("({lines} omitted here, because this output was not read)\n");
             write(shared, Stream::Stderr, text.as_bytes());
         }
         Entry::Display(next) => *display = next,

@@ -126,7 +126,7 @@ fn text(report: &HistoryReport<'_>) -> String {
     for act in &report.acts {
         let robots = downbeat_scripts::counted(act.robots.len(), "robot");
         let spread = act.spread.map_or_else(
-            || "no starts known".to_owned(),
+            || "spread unknown".to_owned(),
             |spread| format!("spread {} ms", spread.as_millis_f64()),
         );
         let fate = history::fate_text(act);

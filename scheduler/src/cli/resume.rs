@@ -34,7 +34,7 @@ use crate::signals::OnHangUp;
 /// Continue a mission whose scheduler was killed.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The command reads the journal, connects to the robots again, learns what they did meanwhile, and plays \
+    after_help = "The command reads the journal, connects to the robots again, asks what they did in the meantime, and plays \
 the mission to its end. If the start of an act was not decided yet, the command withdraws the act instead. It refuses \
 to resume if the fleet file has a different address for a robot than when its scripts were sent, or if the plan has changed \
 since the mission began.
@@ -261,7 +261,7 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
     let found = rustix::fs::stat(&opened.fleet).map_err(|error| format!("cannot check {path}: {error}"))?;
     if found.st_uid != rustix::process::geteuid().as_raw() || found.st_mode & 0o002 != 0 {
         return Err(format!(
-            "the fleet file {path} names programs to start, but other users own it or can write to it: {look}"
+            "the fleet file {path} names programs to start, but is owned or writable by other users: {look}"
         ));
     }
     let is_as_before = |robot: &FleetRobot| {
@@ -270,7 +270,7 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
     };
     match [first].into_iter().chain(programs).find(|robot| !is_as_before(robot)) {
         Some(other) => Err(format!(
-            "the fleet file {path} names a different program for robot `{}` than when the mission began: {look}",
+            "the fleet file {path} names a different program for robot `{}` than it did when the mission began: {look}",
             other.id
         )),
         None => Ok(()),

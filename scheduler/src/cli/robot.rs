@@ -120,14 +120,15 @@ impl GuardArgs {
             }
             (None, None) => match listener.local_addr() {
                 Ok(address) if !address.ip().to_canonical().is_loopback() && !self.insecure => Err(format!(
-                    "anyone who reaches {address} could drive the robot; add --identity FILE, which `downbeat keys robot` creates, or --insecure if the network is isolated"
+                    "anyone who can reach {address} could drive the robot; add --identity FILE, which `downbeat keys robot` creates, or --insecure if the network is isolated"
                 )),
                 _ => Ok(Door::Open),
             },
         }
     }
 
-    /// Returns an error if an option for access control is given for a Zenoh key: the network decides who may drive such a robot.
+    /// Returns an error if an option for access control is given and the address is a Zenoh key. The network decides who may drive such a
+    /// robot.
     pub(super) fn refuse_at_key(&self) -> Result<(), String> {
         let given = [("identity", &self.identity), ("secret", &self.secret), ("revoked", &self.revoked)];
         match given.into_iter().find(|(_, file)| file.is_some()) {
@@ -148,7 +149,7 @@ impl GuardArgs {
         if own.identity().name != Name::Robot(robot.clone()) {
             let name = &own.identity().name;
             return Err(format!(
-                "{}: this is the identity of {name}, expected robot {robot}",
+                "{}: this is the identity of {name}, expected that of robot {robot}",
                 path.display()
             ));
         }
@@ -205,7 +206,7 @@ impl ProcessArgs {
     }
 }
 
-/// Watches the log of the robots' values. It prints an error immediately if the log ends before the robots do.
+/// Watches the log of the robots' values. Prints an error immediately if the log ends while the robots still run.
 pub(super) struct LogWatch(Option<JoinHandle<bool>>);
 
 impl LogWatch {
@@ -221,7 +222,8 @@ impl LogWatch {
         Self(host.log_lost().map(watch))
     }
 
-    /// Returns the exit code after the host has stopped: `exit`, or that of a failure if the log is incomplete.
+    /// Waits for the end of the log, and returns the exit code: `exit`, or a failure if the command was otherwise successful but the log
+    /// is incomplete.
     pub(super) async fn spoils(self, exit: Exit) -> Exit {
         let lost = match self.0 {
             Some(watch) => watch.await.unwrap_or(false),
@@ -319,7 +321,7 @@ pub(super) fn stop(host: Host) -> bool {
     not_at_rest.is_empty()
 }
 
-/// Stops the host of a mission's own robots. Adds the robots that may not have come to rest to the report.
+/// Stops the host that runs a mission's robots in this process. Adds the robots that may not have come to rest to the report.
 pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
     let not_at_rest = host.map(Host::stop).unwrap_or_default();
     report.not_at_rest = not_at_rest.iter().map(ToString::to_string).collect();

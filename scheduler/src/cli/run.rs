@@ -46,7 +46,7 @@ use crate::zone::{SkippedTime, Zone};
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Ctrl-C stops the mission: every robot slows down, stays where it is, and confirms it. A second Ctrl-C \
+    after_help = "Ctrl-C stops the mission: every robot slows down, stays where it is, and confirms the stop. A second Ctrl-C \
 exits at once and lists the robots that may still move. Closing the terminal also stops the mission, unless it runs with \
 --detach. From another terminal, `downbeat stop` stops it, and `downbeat go` (or Enter here) starts an act that waits for \
 the operator.
@@ -611,7 +611,7 @@ impl StartAt {
         let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
         let which = if at < other { "the first" } else { "the second" };
         Some(format!(
-            "clocks show {} twice: --at means {which}, {}; for the other one, write --at {}",
+            "clocks show {} twice that day: --at means {which} time, {}; for the other one, write --at {}",
             zone.seconds_of_day(at),
             zone.rfc3339(at),
             zone.rfc3339(other)
@@ -633,7 +633,7 @@ fn check_waits(
             Wait::TimeOfDay(time) => {
                 let next = options.zone.next(from, *time);
                 next.map_err(|skipped| {
-                    format!("act `{}` waits for a time: {}", act.called(), refusal(skipped))
+                    format!("act `{}` cannot wait for its time of day: {}", act.called(), refusal(skipped))
                 })?
             }
             Wait::Instant(at) => from.max(*at),
@@ -688,7 +688,7 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
     let reading = server_clock::ask_ntp(server).await.map_err(|error| error.to_string())?;
     if format == Format::Text {
         console::note(&format!(
-            "NTP time from {server}: this machine is off by {} (+-{}), stratum {}",
+            "NTP time from {server}: this machine's clock is off by {} (+-{}), stratum {}",
             reading.offset, reading.uncertainty, reading.stratum
         ));
     }

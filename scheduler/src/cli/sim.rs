@@ -133,7 +133,7 @@ async fn listening(address: &Address, door: Door, way: &mut Way) -> Result<Liste
             Ok(Listening::Tcp(Listening::bind(&place).await?, door))
         }
         Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => {
-            Err(format!("nothing listens at {address}"))
+            Err(format!("cannot listen at the address {address}"))
         }
     }
 }

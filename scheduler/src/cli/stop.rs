@@ -119,7 +119,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
             console::print_json(&json!([]));
             return Exit::Usage;
         }
-        let none = none(named, "runs or was cut off", format);
+        let none = none(named, "is running or was cut off", format);
         return if unreadable == Exit::Done { none } else { unreadable };
     }
     let shown = if args.all || found.len() + unread.len() > 1 { Shown::Several } else { Shown::One };
@@ -131,7 +131,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, drivers, told };
     // A stop is sent even without a usable key.
     let presented = identity::presented().unwrap_or_else(|error| {
-        console::warn(&format!("the stop is sent without an identity: {error}"));
+        console::warn(&format!("sending the stop without an identity: {error}"));
         None
     });
     let stops = stop_all(found, unread, (how, presented.map(Arc::new)), shown, format);
@@ -253,7 +253,7 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
             Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
         MissionState::CutOff => cut_off(&found, how).await,
-        MissionState::Ended => directly(&found, how, "it has ended; its robots are stopped again").await,
+        MissionState::Ended => directly(&found, how, "it has already ended; stopping its robots again").await,
     }
 }
 
@@ -311,8 +311,7 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
         Ok(()) => Scheduler::Gone,
         Err(_) => Scheduler::Silent,
     };
-    directly(found, How { scheduler, ..how }, &format!("{ENDED_AHEAD}; its robots are stopped directly"))
-        .await
+    directly(found, How { scheduler, ..how }, &format!("{ENDED_AHEAD}; stopping its robots directly")).await
 }
 
 /// Handles a running mission that sent no report.
@@ -321,19 +320,18 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     match now {
         MissionState::CutOff => return cut_off(found, how).await,
         MissionState::Ended => {
-            return directly(found, how, "it has ended meanwhile; its robots are stopped again").await;
+            return directly(found, how, "it has ended in the meantime; stopping its robots again").await;
         }
         MissionState::Running => {}
     }
     let pid = holder(found);
     let process = pid.map_or("its process".to_owned(), |pid| format!("process {}", pid.as_raw_nonzero()));
     let how = How { scheduler: Scheduler::Silent, ..how };
-    let stopped =
-        directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
+    let stopped = directly(found, how, &format!("{process}: {unheard}; stopping its robots directly")).await;
     // If the process continues later, the signal stops the mission.
     if let Some(sent) = pid.and_then(|pid| signals::stop(pid, how.rest)) {
         let session = &found.opened.session;
-        console::note(&format!("{session}: {process} was sent {sent}; if it continues, it will end"));
+        console::note(&format!("{session}: {process} was sent {sent}, so it will end if it continues"));
     }
     stopped
 }
@@ -348,7 +346,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
             Ok(ending) => heard(found, how, &ending).await,
             Err(unheard) => {
-                directly(found, how, &format!("another process holds its journal: {unheard}")).await
+                directly(found, how, &format!("another process has locked its journal: {unheard}")).await
             }
         },
         Err(not_taken) => directly(found, how, &not_taken.to_string()).await,
@@ -452,7 +450,7 @@ impl Stopped {
             Format::Json => self.inside.iter().for_each(|inside| console::note(&inside_line(inside))),
         }
         if let Err(reason) = &self.report {
-            console::error(&format!("{} is NOT stopped: {reason}", self.mission));
+            console::error(&format!("{} was NOT stopped: {reason}", self.mission));
         }
     }
 
@@ -486,10 +484,10 @@ fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> Strin
             format!("{name}: stop NOT confirmed; its lease {verb} at {}", time_of_day(ends))
         }
         StopState::Unconfirmed { lease_ends: None } => {
-            format!("{name}: stop NOT confirmed; it has no lease, so it does not stop by itself")
+            format!("{name}: stop NOT confirmed; it has no lease, so it will not stop by itself")
         }
         StopState::TakenOver => format!("{name}: {TAKEN_OVER}"),
-        StopState::NotSent => format!("{name}: nothing had been sent to it"),
+        StopState::NotSent => format!("{name}: nothing was sent to it"),
     }
 }
 
@@ -511,13 +509,13 @@ fn inside_line(inside: &Inside) -> String {
     let robot = &inside.robot;
     match inside.what {
         InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
-        InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
+        InsideWhat::Unmoved => format!("{robot}: nothing was sent to it"),
         InsideWhat::Program => format!(
             "{robot}: stop NOT confirmed; it was driven by a program, which a stop does not start: `downbeat resume` starts the program in the fleet file and brings the robot to rest"
         ),
         InsideWhat::Driver => {
             format!(
-                "{robot}: stop NOT confirmed; the scheduler's own process drives it; end that process, then stop again"
+                "{robot}: stop NOT confirmed; the scheduler's own process drives it; end that process, then run `downbeat stop` again"
             )
         }
     }

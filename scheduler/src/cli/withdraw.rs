@@ -1,5 +1,5 @@
-//! Withdraws the commands that a mission has left on its robots. Uses only the mission's journal, because other files may have changed
-//! since the mission began.
+//! Withdraws missions: cancels the commands that a mission has left on its robots, so that the robots come to rest. Uses only the
+//! mission's journal, because other files may have changed since the mission began.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ pub(super) enum InsideWhat {
     Unmoved,
 }
 
-/// The result of withdrawing a mission.
+/// The result of withdrawing a mission, that is, of stopping its robots.
 pub(super) struct Withdrawn {
     /// When this process began to stop the robots.
     pub(super) begun: Timestamp<Server>,
@@ -165,8 +165,8 @@ pub(super) struct How {
     pub(super) told: Format,
 }
 
-/// The driver programs that this process may start again: the address of each robot in the fleet file, by the robot's id. A journal alone
-/// permits no program.
+/// The driver programs that this process may start again, as the address of each robot in the fleet file, by the robot's id. A journal
+/// alone does not permit starting a program.
 pub(super) type Programs = BTreeMap<RobotId, Address>;
 
 /// Stops the robots of a mission, and then records the stop in the locked journal. The record is written last, because a stop must not
@@ -190,7 +190,7 @@ pub(super) async fn withdraw_and_record(
         Ok(Ok(Ok(()))) => {}
         Ok(Ok(Err(reason))) => console::warn(&reason),
         Ok(Err(_)) | Err(_) => {
-            console::warn("the disk does not respond, so the journal does not record the stop")
+            console::warn("the disk is not responding, so the stop was not recorded in the journal")
         }
     }
     if let Some(control) = control {
@@ -266,7 +266,7 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
-/// Returns the robot's state for the case that any mission may have sent commands to any of its devices.
+/// Returns what missions may have left on a robot: commands to all its devices, except for mere sensors.
 fn anything_on(robot: &FleetRobot) -> LeftOn {
     let devices = robot.init.iter().flat_map(|init| init.devices.iter());
     let is_driven = |device: &&Device| {
@@ -350,8 +350,8 @@ fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
     FleetRobot { limits: opened.limits.clone(), ..robot }
 }
 
-/// Returns the journal records about a stop. If a robot may still move, they do not contain the mission's end, so that it can be stopped
-/// again.
+/// Returns the journal records about a stop. If a robot may still move and the mission is not to be forgotten, the records do not contain
+/// the mission's end, so that the mission can be stopped again.
 fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =

@@ -70,10 +70,10 @@ impl Health for HostMetrics {
     fn now(&self) -> Pin<Box<dyn Future<Output = Checked> + Send + '_>> {
         Box::pin(async {
             let alive = if self.handle.answers_within(PATIENCE).await {
-                Ok("robots: the thread that moves them answers".to_owned())
+                Ok("robots: the thread that moves them is responding".to_owned())
             } else {
                 Err(format!(
-                    "robots: the thread that moves them has not answered within {} s",
+                    "robots: the thread that moves them has not responded within {} s",
                     PATIENCE.as_secs()
                 ))
             };
@@ -84,7 +84,7 @@ impl Health for HostMetrics {
             let ready = match away.len() {
                 0 => alive.clone(),
                 count => {
-                    Err(format!("robots: the hardware of {count} does not answer: {}", named.join(", ")))
+                    Err(format!("robots: {count} with hardware that does not respond: {}", named.join(", ")))
                 }
             };
             Checked { alive, ready }

@@ -37,16 +37,16 @@ metrics! {
     MISSION_PHASE Gauge "downbeat_mission_phase" "phase" "1 for the current phase of the mission: starting, greeting, performing, stopping or ended.";
     LOOP_AGE Gauge "downbeat_mission_loop_age_seconds" "" "Time since the last iteration of the mission loop.";
     LOOP_LATENESS Histogram "downbeat_mission_loop_lateness_seconds" "" "Wake-up delay of the mission loop.";
-    ROUNDS_LATE Counter "downbeat_mission_lease_rounds_late_total" "" "Rounds of questions, which renew leases, that were more than 100 ms late.";
+    ROUNDS_LATE Counter "downbeat_mission_lease_rounds_late_total" "" "Lease renewal rounds that were more than 100 ms late.";
     ACTS Gauge "downbeat_mission_acts" "stage" "Acts by state: waiting, preparing (until their start) or playing.";
     ACTS_PLAYED Counter "downbeat_mission_acts_played_total" "" "Acts that were played to their end, including repetitions.";
     ROBOTS Gauge "downbeat_mission_robots" "link" "Robots of the mission by the state of their link: up or down.";
-    SKEW_BUDGET Gauge "downbeat_mission_skew_budget_seconds" "" "Predicted spread of the starts of the last act that was prepared.";
-    START_TOLERANCE Gauge "downbeat_mission_start_tolerance_seconds" "" "Spread of the starts that the scenario tolerates for that act.";
+    SKEW_BUDGET Gauge "downbeat_mission_skew_budget_seconds" "" "Predicted start spread of the last act that was prepared.";
+    START_TOLERANCE Gauge "downbeat_mission_start_tolerance_seconds" "" "Start spread that the scenario tolerates for the last act that was prepared.";
     START_SPREAD Gauge "downbeat_mission_start_spread_seconds" "" "Largest minus smallest start error of the last act that has ended, by the clocks of the robots.";
     START_ERROR Histogram "downbeat_mission_start_error_seconds" "" "Absolute start errors that robots reported, by their own clocks.";
     COMMIT_WINDOW Gauge "downbeat_mission_commitment_window_seconds" "" "Time from the last commitment to its last answer.";
-    JOURNAL_SYNC Histogram "downbeat_mission_journal_sync_seconds" "" "Time from handing a durable record to the journal until it was on the disk.";
+    JOURNAL_SYNC Histogram "downbeat_mission_journal_sync_seconds" "" "Time until a durable record handed to the journal was on the disk.";
     FAILURES Counter "downbeat_mission_failures_total" "kind" "Failures of robots by kind, as in reports.";
     STOPS Counter "downbeat_mission_stops_total" "" "How often the mission has stopped its robots.";
     LINKS_LOST Counter "downbeat_mission_links_lost_total" "" "Links that broke while the mission continued.";
@@ -61,7 +61,7 @@ metrics! {
     R_FAILED Counter "downbeat_robot_scripts_failed_total" "robot" "Scripts that the robot has refused or ended early, including those that were withdrawn or stopped.";
     R_STEPS Counter "downbeat_robot_steps_done_total" "robot" "Steps that the robot has reported as done.";
     R_LATE Counter "downbeat_robot_steps_late_total" "robot" "Steps that the robot has reported as more than a millisecond late.";
-    R_START_ERROR Gauge "downbeat_robot_start_error_seconds" "robot" "Largest start error by magnitude over all acts: actual minus planned start by the clock of the robot.";
+    R_START_ERROR Gauge "downbeat_robot_start_error_seconds" "robot" "Largest absolute start error over all acts: actual minus planned start by the clock of the robot.";
     R_RETRIES Counter "downbeat_robot_requests_repeated_total" "robot" "Requests that were sent again.";
     R_RECONNECTS Counter "downbeat_robot_reconnects_total" "robot" "Number of times that the link was re-established.";
     R_UNCONFIRMED Gauge "downbeat_robot_stop_unconfirmed" "robot" "1 while a stop that was sent to the robot is not confirmed.";
@@ -73,8 +73,8 @@ metrics! {
     H_ENDED Counter "downbeat_host_commands_ended_total" "robot" "Scripts and single commands that have completed.";
     H_FAILED Counter "downbeat_host_commands_failed_total" "robot" "Scripts and single commands that ended early, or were held but never started.";
     H_STEPS Counter "downbeat_host_steps_set_total" "robot" "Steps of scripts that were set.";
-    H_LATE Counter "downbeat_host_steps_late_total" "robot" "Steps that were more than a millisecond late, of scripts that have completed.";
-    H_CONNECTIONS Gauge "downbeat_host_connections" "robot" "Open connections of the robot.";
+    H_LATE Counter "downbeat_host_steps_late_total" "robot" "Steps of completed scripts that were more than a millisecond late.";
+    H_CONNECTIONS Gauge "downbeat_host_connections" "robot" "Open connections to the robot.";
     H_HARDWARE Gauge "downbeat_host_hardware_answers" "robot" "1 if the hardware of the robot responds, or if it has none.";
 }
 

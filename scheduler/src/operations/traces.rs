@@ -142,7 +142,7 @@ impl Traces {
         }
         let refusal = self.tally.refusal.lock().unwrap_or_else(PoisonError::into_inner).take();
         let why = refusal.or_else(|| ended.err().map(|error| error.to_string()));
-        let why = why.unwrap_or_else(|| "too many at once".to_owned());
+        let why = why.unwrap_or_else(|| "too many spans at once".to_owned());
         Err(format!("{} of its {begun} spans were not sent: {why}", begun - sent))
     }
 }

@@ -34,7 +34,7 @@ pub(crate) fn files(
         ));
     }
     let times = times(end_ms, rate);
-    notes.push(format!("sampled at {rate} Hz, and at the end; times in whole milliseconds"));
+    notes.push(format!("sampled at {rate} Hz and at the end; times are rounded to whole milliseconds"));
     let others: Vec<&str> =
         robots.iter().filter(|robot| axes(robot).is_none()).map(|robot| robot.name).collect();
     if !others.is_empty() {

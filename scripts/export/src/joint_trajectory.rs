@@ -29,7 +29,7 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
         let times = times(&joints);
         lines += times.len();
         if lines.saturating_mul(joints.len()) > LINES_MAX {
-            return Err(format!("the files would have more than {LINES_MAX} positions"));
+            return Err(format!("the files would have more positions than the limit of {LINES_MAX}"));
         }
         let held: Vec<&str> = joints
             .iter()
@@ -39,13 +39,17 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
         if !held.is_empty() {
             let held = names(held);
             notes.push(format!(
-                "`{}`: devices that hold their value move to the next step within the last millisecond: {held}",
+                "`{}`: devices that hold their value move to the next value within the last millisecond before each step: {held}",
                 robot.name
             ));
         }
         files.push(FilePart { path: file_name(robot.name, "yaml"), text: text(robot, &joints, &times) });
     }
-    if files.is_empty() { Err("no device with a single value is moved".into()) } else { Ok(files) }
+    if files.is_empty() {
+        Err("no device with a single value is moved, so there is nothing to export".into())
+    } else {
+        Ok(files)
+    }
 }
 
 /// Returns the times of all steps of the joints, in milliseconds. If a joint jumps at a step, also returns the time 1 ms before the step.

@@ -88,7 +88,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     }
     if line.len() < choreography.acts.len() {
         let left = counted(choreography.acts.len() - line.len(), "act");
-        notes.push(format!("left out {left} reached only after a failure or a timeout"));
+        notes.push(format!("left out {left} that can be reached only after a failure or a timeout"));
     }
     if !rates.is_empty() {
         let devices = names(rates.keys().take(20).map(String::as_str));

@@ -253,7 +253,8 @@ fn of_another_bus(text: &str) -> Option<String> {
     let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt", "osc"]
         .iter()
         .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
-    (is_serial || is_other).then(|| "use a driver for it: `program:COMMAND` (docs/edge.md)".to_owned())
+    (is_serial || is_other)
+        .then(|| "this kind of connection requires a driver: `program:COMMAND` (docs/edge.md)".to_owned())
 }
 
 #[cfg(test)]

@@ -429,7 +429,9 @@ impl FleetReader<'_> {
         let robots = robots?;
         latency::warn_of_robots(&mut self.findings, LATENCY_FILE, &self.latencies, robots.node);
         let mut names: HashMap<String, &str> = HashMap::new();
-        for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
+        for (name, at) in
+            self.findings.entries(&robots, "a map from each robot id to its address and init file")
+        {
             if names.insert(composed(name).into_owned(), name).is_some() {
                 self.same_name(name, &robots);
                 continue;
@@ -437,7 +439,7 @@ impl FleetReader<'_> {
             if name == "groups"
                 && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !RobotKeys::NAMES.contains(&key.as_str())))
             {
-                let hint = Some("write `groups` next to `robots`, not below it".to_owned());
+                let hint = Some("write `groups` at the same level as `robots`, not inside it".to_owned());
                 let message = "`groups` is listed as a robot";
                 self.findings.add(Code::UnknownKey, at.key_place(), message, "a robot", hint);
                 continue;
@@ -547,7 +549,7 @@ impl FleetReader<'_> {
 
     /// Reads `robot_id`: the id that the robot itself declares, if it differs from the name in the fleet file.
     fn own_id(&mut self, at: &At<'_>) -> Option<RobotId> {
-        let expected = "the id that the robot declares, with 1 to 256 characters";
+        let expected = "the id that the robot declares, of 1 to 256 characters";
         let text = self.findings.text(at, expected)?;
         let id = RobotId::new(text.as_ref());
         if let Err(wrong) = &id {
@@ -571,12 +573,14 @@ impl FleetReader<'_> {
                 Code::WrongType,
                 at.place(),
                 "missing device in the limits",
-                "a map from device to its limits",
+                "a map from each device to its limits",
                 hint,
             );
             return limits;
         }
-        for (device, at) in self.findings.entries(at, "device to its maximum speed and acceleration") {
+        for (device, at) in
+            self.findings.entries(at, "a map from each device to its maximum speed and acceleration")
+        {
             if device_named(init, device).is_none() {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
                 let message = format!("the robot has no device `{}`", shortened(device));
@@ -617,7 +621,8 @@ impl FleetReader<'_> {
         let supplements = match (devices, init) {
             (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
             (Some(at), Init::Block(..)) => {
-                let message = format!("`{}` already describes its devices completely", path.display());
+                let message =
+                    format!("the init file `{}` already describes its devices completely", path.display());
                 let expected = "`devices` only for a robot with a Thrift description";
                 let hint = Some("change the init file instead".to_owned());
                 self.findings.add(Code::UnknownKey, at.key_place(), message, expected, hint);
@@ -689,7 +694,7 @@ impl FleetReader<'_> {
     /// Reads the readings of a simulated robot's sensors, such as `{range: 0.4}`.
     fn readings(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, f64)> {
         let mut readings = Vec::new();
-        for (name, at) in self.findings.entries(at, "sensor to its reading") {
+        for (name, at) in self.findings.entries(at, "a map from each sensor to its reading") {
             let reading = self.findings.number(&at, "a number, in the unit of the sensor");
             let sensor = sensor(&mut self.findings, name, &at, init);
             readings.extend(sensor.zip(reading));
@@ -706,7 +711,7 @@ impl FleetReader<'_> {
             .collect();
         let mut sorted: Vec<&str> = named.values().copied().collect();
         sorted.sort_unstable();
-        let entries = self.findings.entries(at, "group to the list of its robots");
+        let entries = self.findings.entries(at, "a map from each group to the list of its robots");
         let groups: Vec<&str> = entries.iter().map(|(name, _)| *name).collect();
         for (name, at) in entries {
             if named.contains_key(composed(name).as_ref()) {
@@ -772,7 +777,7 @@ fn delay_range(findings: &mut Reader, at: &At<'_>) -> Option<(Span, Span)> {
         findings.add(
             Code::TimeOrder,
             at.place(),
-            format!("{} is longer than {}", written(least), written(largest)),
+            format!("the minimum {} is longer than the maximum {}", written(least), written(largest)),
             expected,
             None,
         );

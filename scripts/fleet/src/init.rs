@@ -19,8 +19,8 @@ use downbeat_yaml::source::Source;
 pub(crate) use self::supplement::DeviceKeys;
 pub use self::supplement::{Supplement, read as read_supplements};
 
-/// The expected form of a description, for messages.
-const EXPECTED: &str = "an initialization block: id, api_version, devices with their available_control_types";
+/// The expected form of a robot's description, for error messages.
+const EXPECTED: &str = "an initialization block: `id`, `api_version` and `devices`, each device with its `available_control_types`";
 
 /// Reads a robot's description from a YAML or JSON file.
 ///

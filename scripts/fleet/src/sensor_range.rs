@@ -68,7 +68,7 @@ pub fn sensor_range(
             };
             let (least, largest) = (reader.number(least, "a number")?, reader.number(largest, "a number")?);
             if least > largest {
-                let message = format!("{least} is larger than {largest}");
+                let message = format!("the minimum {least} is larger than the maximum {largest}");
                 let hint = Some(format!("write `[{largest}, {least}]`"));
                 reader.add(Code::WrongType, at.place(), message, "the smaller reading first", hint);
                 return None;
@@ -77,7 +77,7 @@ pub fn sensor_range(
         }
         (above, below, _) => {
             let expected = names(["above", "below", "within"]);
-            let message = "found none or several ranges for the sensor";
+            let message = "the sensor has no range, or more than one";
             let number = |at: Option<At<'_>>| match at?.node {
                 Node::Number(value) => Some(*value),
                 _ => None,

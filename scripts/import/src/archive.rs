@@ -56,7 +56,7 @@ impl<'a> Archive<'a> {
             true if most < FILE_BYTES_MAX => {
                 Err(format!("the unpacked archive has more than {ALL_BYTES_MAX} bytes"))
             }
-            true => Err(format!("the file has more than {FILE_BYTES_MAX} bytes when it is unpacked")),
+            true => Err(format!("the unpacked file has more than {FILE_BYTES_MAX} bytes")),
         }
     }
 }

@@ -72,13 +72,13 @@ fn is_bounded(motions: &[Motion], file: &str, sink: &mut Sink) -> bool {
         return true;
     }
     let message = format!("the import has {} robots with up to {devices} devices", robots.len());
-    let expected = format!("at most {ROBOTS_MAX} robots of {DEVICES_MAX} devices");
+    let expected = format!("at most {ROBOTS_MAX} robots with up to {DEVICES_MAX} devices each");
     sink.about(
         file,
         Code::ImportLimit,
         message,
         &expected,
-        Some("check that the file has this format, see `docs/import.md`"),
+        Some("check that the file is in the selected format (see `docs/import.md`)"),
     );
     false
 }
@@ -112,7 +112,11 @@ fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, si
     for Motion { scene, robot } in motions {
         let scene = if scene.is_empty() { name.to_owned() } else { scene };
         if !seen.insert((scene.clone(), robot.robot.clone())) {
-            let message = format!("two files move `{}` in `{}`", shortened(&robot.robot), shortened(&scene));
+            let message = format!(
+                "two files move the robot `{}` in the scene `{}`",
+                shortened(&robot.robot),
+                shortened(&scene)
+            );
             sink.about(
                 file,
                 Code::ImportNames,
@@ -200,7 +204,8 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
                 downbeat_yaml::render::counted(turns, "turn")
             ))
         } else {
-            let message = format!("--unwrap lists `{}`, but no keyframes move it", shortened(target));
+            let message =
+                format!("--unwrap lists `{}`, but no keyframes move this device", shortened(target));
             sink.about(file, Code::ImportNames, message, "DEVICE or ROBOT/DEVICE", None);
         }
     }
@@ -220,10 +225,10 @@ fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
         let are_points = devices.iter().all(|device| !matches!(device.course, Course::Pieces(_)));
         let name = shortened(&scene.name);
         if options.start.is_none() && keyframes::is_date(first) {
-            sink.note(format!("`{name}`: times are dates and are counted from the first value"));
+            sink.note(format!("`{name}`: the times are dates, so they are counted from the first value"));
         } else if options.start.is_none() && are_points && first >= LATE {
             sink.note(format!(
-                "`{name}` sets its first value at {} s, and devices move to it from 0 s on; use --start 0s to begin with this value",
+                "the first value of `{name}` is at {} s, and devices move to it from 0 s on; use --start 0s to start with this value",
                 keyframes::seconds(first)
             ));
         }
@@ -255,7 +260,7 @@ fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
             }
         }
         if !used && !scenes.is_empty() {
-            let message = format!("--scale lists `{}`, but nothing moves it", shortened(target));
+            let message = format!("--scale lists `{}`, but nothing moves this device", shortened(target));
             sink.about(file, Code::ImportNames, message, "DEVICE or ROBOT/DEVICE", None);
         }
     }
@@ -285,9 +290,11 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
                 device.keyframes.iter_mut().for_each(|k| k.value = keyframes::rounded(k.value, 7));
                 format!("`{}` is converted from {} to {unit}", device.device, device.unit)
             }
-            None if device.unit.is_empty() => format!("`{}` is taken to be in {unit}", device.device),
+            None if device.unit.is_empty() => {
+                format!("the unit of `{}` is unknown, so {unit} is assumed", device.device)
+            }
             None => format!(
-                "`{}` is in {}, but the unit in the robot's block is {unit}",
+                "`{}` is in {}, which cannot be converted to {unit}, its unit in the initialization block",
                 device.device, device.unit
             ),
         };

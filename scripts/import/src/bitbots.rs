@@ -113,12 +113,12 @@ impl Tracks {
             let (count, joints) = (self.left_out.len(), names(self.left_out.iter().map(String::as_str)));
             let joints_held = downbeat_yaml::render::counted(count, "joint");
             sink.note(format!(
-                "{file}: kept {joints_held} in place where keyframes leave them out: {joints}"
+                "{file}: {joints_held} missing from some keyframes, and kept in place there: {joints}"
             ));
         }
         if !self.late.is_empty() {
             let joints = names(self.late.iter().map(String::as_str));
-            sink.note(format!("{file}: joints missing from the first keyframe, which move to their first value from the start: {joints}"));
+            sink.note(format!("{file}: joints missing from the first keyframe move to their first value from the start: {joints}"));
         }
     }
 }
@@ -157,7 +157,7 @@ fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) 
     let (Some(start), Some(reached), Some(until)) =
         (keyframes::span(start_s), keyframes::span(start_s + duration), keyframes::span(*end_s))
     else {
-        let expected = format!("at most {} s in all", keyframes::SECONDS_MAX);
+        let expected = format!("at most {} s in total", keyframes::SECONDS_MAX);
         findings.add(
             Code::ImportTime,
             duration_at.place(),
@@ -168,7 +168,7 @@ fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) 
         return None;
     };
     if reached <= start {
-        let message = format!("{what} has the duration {duration}: it begins and ends at {start}");
+        let message = format!("{what} has a duration of {duration} s: it starts and ends at {start}");
         let hint = "add a duration above 0, or remove the keyframe";
         findings.add(
             Code::TimesCollide,
@@ -192,7 +192,7 @@ fn seconds(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
 }
 
 fn read_goals(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<(String, f64)>> {
-    let entries = findings.entries(at, "joint to degrees");
+    let entries = findings.entries(at, "a map from each joint to its angle in degrees");
     let mut goals = Vec::with_capacity(entries.len());
     for (joint, at) in &entries {
         let value =

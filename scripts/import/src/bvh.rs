@@ -110,7 +110,7 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     let found = read_frames(words, frames, period_s, &mut devices)?;
     if found != frames {
         *words = stated;
-        let message = format!("`Frames: {frames}`, but the file has {found}");
+        let message = format!("the file states `Frames: {frames}`, but contains {found}");
         return Err((Code::ImportShape, message, format!("`Frames: {found}`, or as many frames as stated")));
     }
     Ok((devices, period_s))
@@ -172,7 +172,7 @@ fn skeleton(words: &mut Words<'_>) -> Result<Vec<DeviceMotion>, Wrong> {
             "END" => name = words.rest().to_owned(),
             "{" if open.len() < DEPTH_MAX => open.push(std::mem::take(&mut name)),
             "{" => {
-                let message = format!("joints nested more than {DEPTH_MAX} levels deep");
+                let message = format!("joints are nested more than {DEPTH_MAX} levels deep");
                 return Err((Code::ImportLimit, message, "a skeleton".into()));
             }
             "}" if open.pop().is_some() => {}

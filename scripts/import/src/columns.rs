@@ -75,7 +75,7 @@ impl<'a> Header<'a> {
             [] if number.is_some() => number.map(|number| number - 1),
             [_, second, ..] => {
                 let message = format!("duplicate column name `{}`", shortened(column));
-                let hint = Some("use the number of the column, counted from 1");
+                let hint = Some("refer to the column by its number, counted from 1");
                 let expected = "unique names";
                 sink.found(source, self.row.spot(*second), Code::ImportTable, message, expected, hint);
                 None

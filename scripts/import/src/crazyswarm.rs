@@ -38,7 +38,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let times = match options.rate_hz {
         Some(rate) => {
             sink.note(format!(
-                "{}: sampled at {rate} Hz, with straight lines between the samples; without --rate, the curve itself is kept",
+                "{}: sampled at {rate} Hz, with straight lines between the samples; leave out --rate to keep the curves",
                 source.name
             ));
             keyframes::sampled_times(trajectory.duration_s(), rate)
@@ -130,7 +130,7 @@ fn header_is_right(header: &Row<'_>, names: &[String], source: &Source, sink: &m
     let wrong = found.zip(names).position(|(found, name)| found != *name);
     let Some(index) = wrong else { return header.has(names.len(), source, sink) };
     let message = format!("column {} of the header is `{}`", index + 1, shortened(&header.cells[index].text));
-    let hint = "the header is duration,x^0,..,x^7,y^0,..,z^0,..,yaw^0,..,yaw^7 in any case";
+    let hint = "the header must be duration,x^0,..,x^7,y^0,..,z^0,..,yaw^0,..,yaw^7 (upper or lower case)";
     let expected = format!("`{}`", names[index]);
     sink.found(source, header.spot(index), Code::ImportTable, message, expected, Some(hint));
     false
@@ -178,9 +178,8 @@ fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: 
 
 fn too_many_pieces(pieces_max: usize, row: &Row<'_>, source: &Source, sink: &mut Sink) {
     let all = rows(source, Dialect::of(source, 0, None)).count() - 1;
-    let message = format!("the trajectory has {all} pieces, but a robot holds at most {pieces_max}");
-    let hint =
-        "a Crazyflie has 4 KB for pieces of 132 bytes; split the file into scenes, or set --max-pieces";
+    let message = format!("the trajectory has {all} pieces, but a robot can store at most {pieces_max}");
+    let hint = "a Crazyflie has 4 KB of memory for pieces of 132 bytes each: split the file into scenes, or set --max-pieces";
     let expected = format!("at most {pieces_max} pieces");
     sink.found(source, row.spot(0), Code::TooManyPieces, message, expected, Some(hint));
 }

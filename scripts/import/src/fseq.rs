@@ -73,7 +73,7 @@ pub(super) fn read(
             by_robot(&input.scene, mapped.into_iter().map(|mapped| (mapped.robot, mapped.motion)))
         }
         Err((code, message)) => {
-            let expected = "a light sequence of xLights, version 2, with --map robot/device=1,2,3";
+            let expected = "an xLights sequence (FSEQ version 2), with its channels mapped as in --map robot/device=1,2,3";
             sink.about(name, code, message, expected, None);
             Vec::new()
         }
@@ -81,7 +81,9 @@ pub(super) fn read(
 }
 
 fn number(bytes: &[u8], at: usize, width: usize) -> Result<usize, String> {
-    let part = bytes.get(at..at + width).ok_or_else(|| format!("the file ends at byte {}", bytes.len()))?;
+    let part = bytes
+        .get(at..at + width)
+        .ok_or_else(|| format!("unexpected end of the file at byte {}", bytes.len()))?;
     Ok(part.iter().rev().fold(0, |sum, byte| (sum << 8) | usize::from(*byte)))
 }
 
@@ -96,15 +98,15 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
         }
         Some(start) if start.starts_with(b"<") => {
             return Err(
-                "the file is XML, the format of xLights sequences before rendering: import the FSEQ file"
+                "the file is an xLights sequence that is not rendered (XML): import the rendered FSEQ file"
                     .into(),
             );
         }
-        _ => return Err("the file does not begin with PSEQ".into()),
+        _ => return Err("this is not an FSEQ file: it does not begin with PSEQ".into()),
     }
     let (minor, major) = (number(bytes, 6, 1)?, number(bytes, 7, 1)?);
     if major != 2 {
-        return Err(format!("the file is of version {major}.{minor}: save it as version 2"));
+        return Err(format!("version {major}.{minor} of FSEQ is not supported: save the file as version 2"));
     }
     let kind = number(bytes, 20, 1)?;
     let packed = match kind & 15 {
@@ -140,10 +142,12 @@ fn check(header: &Header) -> Result<(), String> {
     }
     let sum: usize = header.ranges.iter().map(|(_, count)| count).sum();
     if !header.ranges.is_empty() && sum != channels {
-        return Err(format!("the ranges have {sum} channels, but the file has {channels}"));
+        return Err(format!("the channel ranges have {sum} channels in total, but the file has {channels}"));
     }
     if (frames as u64).saturating_mul(channels as u64) > ALL_BYTES_MAX {
-        return Err(format!("{frames} frames of {channels} channels are more than {ALL_BYTES_MAX} bytes"));
+        return Err(format!(
+            "{frames} frames of {channels} channels exceed the limit of {ALL_BYTES_MAX} bytes"
+        ));
     }
     Ok(())
 }
@@ -188,7 +192,7 @@ fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec
 fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, String> {
     let wrong = || {
         format!(
-            "`{}` is not a list of channels: write 1,2,3, or for a device name with a star 1-300/3",
+            "`{}` is not a list of channels: write 1,2,3, or, if the device name contains a star, a range such as 1-300/3",
             shortened(channels)
         )
     };
@@ -206,7 +210,9 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     let (first, last) = range.split_once('-').ok_or_else(wrong)?;
     let (first, last, width) = (number(first)?, number(last)?, width?);
     if last < first || last - first >= CHANNELS_MAX || (last - first + 1) % width != 0 {
-        return Err(format!("channels {first} to {last} cannot be divided into devices of {width} channels"));
+        return Err(format!(
+            "channels {first} to {last} cannot be divided evenly into devices of {width} channels"
+        ));
     }
     let device = |index: usize| {
         let from = first + index * width;
@@ -234,7 +240,7 @@ fn read_frames(
     mapped: &mut [Mapped],
     sink: &mut Sink,
 ) -> Result<usize, String> {
-    let data = bytes.get(header.data..).ok_or("the file ends before its data")?;
+    let data = bytes.get(header.data..).ok_or("the file ends before the frame data")?;
     let mut frames = Frames { header, mapped, index: 0, partial: Vec::new(), sink };
     if header.packed == Packed::Plain {
         frames.feed(data)?;
@@ -243,9 +249,9 @@ fn read_frames(
     let mut at = 0_usize;
     for length in header.blocks.iter().filter(|length| **length > 0) {
         let end = at.saturating_add(*length);
-        let block = data
-            .get(at..end)
-            .ok_or_else(|| format!("the file ends within a block that ends at byte {}", header.data + end))?;
+        let block = data.get(at..end).ok_or_else(|| {
+            format!("the file ends within a block that should end at byte {}", header.data + end)
+        })?;
         at = end;
         match header.packed {
             Packed::Zstd => {

@@ -79,7 +79,7 @@ fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
         sink.about(
             &name_of(&paths[0]),
             Code::NothingToDo,
-            "no CSV files here".into(),
+            "no CSV files found".into(),
             "files named *.csv",
             None,
         );
@@ -99,7 +99,7 @@ fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
 fn note_sorted(robots: &[(PathBuf, Vec<PathBuf>)], sink: &mut Sink) {
     let scenes = robots.iter().map(|(_, files)| files.len()).max().unwrap_or(0);
     if scenes > 1 {
-        sink.note(format!("sorted {scenes} scenes of each of {} robots by number", robots.len()));
+        sink.note(format!("{scenes} scenes for each of {} robots, sorted by number", robots.len()));
     }
 }
 
@@ -128,7 +128,7 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
                 sink.about(
                     &name_of(path),
                     Code::NothingToDo,
-                    "nothing to import here".into(),
+                    "no files to import in this folder".into(),
                     &expected,
                     None,
                 );
@@ -143,7 +143,7 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
     }
     if files.len() > 1 && files.iter().all(|file| is_number(&stem(file))) {
         files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
-        sink.note(format!("sorted {} scenes by number", files.len()));
+        sink.note(format!("{} scenes, sorted by number", files.len()));
     }
     let kind = options.kind.clone().unwrap_or_else(|| format.facts().kind.to_owned());
     let apart = format.facts().is_single && files.len() > 1 && files.len() == options.robots.len();
@@ -165,8 +165,8 @@ fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     let (by_name, by_folder) =
         (are_distinct(files.iter().map(|file| stem(file))), are_distinct(folders.iter().cloned()));
     if files.len() > 1 {
-        let names = if by_name || !by_folder { "them" } else { "their folders" };
-        sink.note(format!("{} files, a robot each, named by {names}", files.len()));
+        let names = if by_name || !by_folder { "the files" } else { "their folders" };
+        sink.note(format!("imported {} files as one robot each, named after {names}", files.len()));
     }
     let input = |(path, folder): (PathBuf, String)| match (by_name, by_folder) {
         (true, _) => Input { robot: stem(&path), path, scene: String::new() },

@@ -10,6 +10,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use urrcp::Span;
 
 use downbeat_yaml::finding::{Code, names};
+use downbeat_yaml::render::counted;
 
 use super::input::Input;
 use super::sink::Sink;
@@ -131,7 +132,11 @@ impl Recording {
                 Record::Chunk { header, data } => self.chunk(&header, &data, sink)?,
                 other => self.record(other, sink)?,
             }
-            if self.more { Err("it has more than 2000000 positions: split it".into()) } else { Ok(()) }
+            if self.more {
+                Err("the limit of 2000000 positions is exceeded; split the recording".into())
+            } else {
+                Ok(())
+            }
         })
         .map_err(|error| format!("the recording cannot be read: {error}"))
     }
@@ -144,12 +149,12 @@ impl Recording {
             "lz4" => unpacked(lz4_flex::frame::FrameDecoder::new(data), most)?,
             other => {
                 return Err(format!(
-                    "the compression {other} of its chunks is not supported: convert it with `mcap recover --compression zstd`"
+                    "the chunk compression {other} is not supported; convert the recording with `mcap recover --compression zstd`"
                 ));
             }
         };
         if plain.len() as u64 > most {
-            return Err(format!("a chunk has more than {most} bytes when it is unpacked"));
+            return Err(format!("an unpacked chunk has more than {most} bytes"));
         }
         self.left -= plain.len() as u64;
         let options = LinearReaderOptions::default().with_skip_start_magic(true).with_skip_end_magic(true);
@@ -221,15 +226,20 @@ impl Topic {
 
     /// Adds a message, and returns the number of positions that it contains.
     fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
-        let wrong = |error: &str| format!("a message of `{}`: {error}", self.name);
-        let state = JointState::read(data, self.encoding).map_err(|error| wrong(&error))?;
+        let state = JointState::read(data, self.encoding)
+            .map_err(|error| format!("a message of `{}`: {error}", self.name))?;
         if state.positions.is_empty() {
             self.empty += 1;
             return Ok(0);
         }
         if state.positions.len() != state.names.len() {
             let (names, positions) = (state.names.len(), state.positions.len());
-            return Err(wrong(&format!("{positions} positions for {names} joints")));
+            return Err(format!(
+                "a message of `{}` has {} for {}",
+                self.name,
+                counted(positions, "position"),
+                counted(names, "joint")
+            ));
         }
         self.unstamped += usize::from(state.stamp == 0);
         let at_ns = if state.stamp == 0 { log_time } else { state.stamp };
@@ -237,7 +247,7 @@ impl Topic {
         for (name, value) in state.names.into_iter().zip(state.positions) {
             if !value.is_finite() {
                 return Err(format!(
-                    "a message of `{}` has the invalid position {value} of `{}`",
+                    "a message of `{}` has the invalid position {value} for the joint `{}`",
                     self.name,
                     downbeat_yaml::shown::shortened(&name)
                 ));
@@ -289,18 +299,21 @@ impl Topic {
                 ..DeviceMotion::default()
             });
         }
-        for (count, text) in [
-            (replaced, "position replaced by another at the same time"),
-            (self.empty, "message without positions"),
-        ] {
-            if count > 0 {
-                sink.note(format!("{file}: `{topic}`: left out {count} {text}"));
-            }
+        if replaced > 0 {
+            let positions = counted(replaced, "position");
+            let later = if replaced == 1 { "a later one" } else { "later ones" };
+            sink.note(format!(
+                "{file}: `{topic}`: left out {positions}, replaced by {later} at the same time"
+            ));
+        }
+        if self.empty > 0 {
+            let messages = counted(self.empty, "message");
+            sink.note(format!("{file}: `{topic}`: left out {messages} without positions"));
         }
         if self.unstamped > 0 {
-            let messages = downbeat_yaml::render::counted(self.unstamped, "message");
+            let messages = counted(self.unstamped, "message");
             sink.note(format!(
-                "{file}: `{topic}`: {messages} without a timestamp: the time of recording is used"
+                "{file}: `{topic}`: {messages} without a timestamp, so the time of recording is used instead"
             ));
         }
         devices
@@ -380,9 +393,10 @@ impl Bytes<'_> {
 
     fn text(&mut self) -> Result<String, String> {
         let length = self.count(NAME_BYTES_MAX)?;
-        let part = self.data.get(self.at..self.at + length).ok_or("the message ends within a text")?;
+        let part =
+            self.data.get(self.at..self.at + length).ok_or("the message ends in the middle of a text")?;
         self.at += length;
         let part = part.strip_suffix(&[0]).unwrap_or(part);
-        String::from_utf8(part.to_vec()).map_err(|_| "a name is not UTF-8".to_owned())
+        String::from_utf8(part.to_vec()).map_err(|_| "a name is not valid UTF-8".to_owned())
     }
 }

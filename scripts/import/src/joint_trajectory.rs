@@ -54,7 +54,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let messages = messages(source);
     let several = messages.len() > 1;
     if several {
-        sink.note(format!("{}: {} messages, a scene each", source.name, messages.len()));
+        sink.note(format!("{}: {} messages, imported as one scene each", source.name, messages.len()));
     }
     let mut motions = Vec::new();
     for (index, (line, message)) in messages.iter().enumerate() {
@@ -143,10 +143,10 @@ fn note(points: &[JointPoint], between: Between, options: &ImportOptions, source
     let file = &source.name;
     match between {
         Between::Cubic => {
-            sink.note(format!("{file}: the path between points is a cubic through their positions and velocities"));
+            sink.note(format!("{file}: the path between points is a cubic curve through their positions and velocities"));
         }
         Between::Straight if are_curved(points) => sink.note(format!(
-            "{file}: velocities are ignored, the path between points is straight; use --rate to sample the curve"
+            "{file}: velocities are ignored, so the path between points is straight; use --rate to sample the curve"
         )),
         Between::Straight if options.rate_hz.is_some() => {
             sink.note(format!("{file}: the points have no velocities, so --rate has no effect"));

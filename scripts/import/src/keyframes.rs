@@ -72,7 +72,7 @@ pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'sta
     match at.cmp(&before) {
         Ordering::Greater => None,
         Ordering::Less => {
-            let message = format!("the time {at_s} s follows the later time {before_s} s");
+            let message = format!("the time {at_s} s is earlier than the previous time, {before_s} s");
             Some((Code::ImportTime, message, "times must increase: sort the lines, or correct the time"))
         }
         Ordering::Equal => {

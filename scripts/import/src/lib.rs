@@ -309,7 +309,7 @@ pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) 
     let mut sink = Sink::default();
     let inputs = input::gather(format, paths, options, &mut sink);
     if options.rate_hz.is_some() && !format.facts().has_curves && format != ImportFormat::Csv {
-        sink.note(format!("{} has no curves, so --rate has no effect", format.word()));
+        sink.note(format!("the format {} has no curves, so --rate has no effect", format.word()));
     }
     let mut motions = Vec::new();
     for input in &inputs {
@@ -414,10 +414,10 @@ pub fn import_bytes(
 fn other_format(format: ImportFormat, file: &str) -> String {
     match format_of(file).filter(|other| *other != format) {
         Some(other) => {
-            format!("the name of the file suggests another format: `downbeat import {} {file}`", other.word())
+            format!("the file name suggests another format: try `downbeat import {} {file}`", other.word())
         }
         None => format!(
-            "check that the file has the format {}: `downbeat import --help` lists the formats",
+            "check that the file is in the format {}: `downbeat import --help` lists all formats",
             format.word()
         ),
     }

@@ -163,7 +163,9 @@ impl Player<'_> {
 }
 
 fn told(at: usize, what: &str) -> String {
-    format!("the light program {what} at byte {at}, which depends on the running show and is not supported")
+    format!(
+        "the light program {what} at byte {at}: commands that depend on the running show are not supported"
+    )
 }
 
 /// Returns the colours, each with its time: at each change and, during a fade, at each multiple of the period. The last colour is at the

@@ -175,7 +175,7 @@ fn devices(read: &Read, timing: Timing, name: &str, sink: &mut Sink) -> Option<V
     }
     if replaced > 0 {
         let values = downbeat_yaml::render::counted(replaced, "value");
-        sink.note(format!("{name}: left out {values} replaced by another at the same time"));
+        sink.note(format!("{name}: left out {values}, replaced by another value at the same time"));
     }
     let device = |((channel, what), keyframes): ((u8, What), Vec<Keyframe>)| DeviceMotion {
         device: device_name(channel, what),
@@ -201,18 +201,18 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     let tempi = downbeat_yaml::render::counted(read.tempi.len(), "tempo");
     sink.note(match song.timing {
         Timing::Beats(_) if read.tempi.is_empty() => {
-            format!("{name}: the file states no tempo: 120 beats per minute are assumed")
+            format!("{name}: the file does not state a tempo, so 120 beats per minute are assumed")
         }
-        Timing::Beats(_) => format!("{name}: times are computed from {tempi} of the file"),
-        Timing::Frames(rate, _) => format!("{name}: times are frames, {rate:.2} per second"),
+        Timing::Beats(_) => format!("{name}: times are computed from {tempi} in the file"),
+        Timing::Frames(rate, _) => format!("{name}: times are counted in frames, {rate:.2} per second"),
     });
     sink.note(format!(
         "{name}: the value of a note is its velocity while it sounds, otherwise 0; release velocities are ignored"
     ));
     for (count, what) in [
         (read.exclusive, "system exclusive message"),
-        (read.texts, "text"),
-        (read.other, "signature or other meta event"),
+        (read.texts, "text event"),
+        (read.other, "other meta event"),
     ] {
         if count > 0 {
             sink.note(format!("{name}: left out {}", downbeat_yaml::render::counted(count, what)));
@@ -220,7 +220,9 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     }
     if song.resumed > 0 {
         let events = downbeat_yaml::render::counted(song.resumed, "event");
-        sink.note(format!("{name}: {events} used a running status after a text or an exclusive message"));
+        sink.note(format!(
+            "{name}: {events} continued a running status after a meta event or a system exclusive message"
+        ));
     }
     for part in song.passed_over.iter().take(PASSED_OVER_MAX) {
         sink.note(format!("{name}: left out {part}"));

@@ -23,7 +23,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     if !from_zero.is_empty() {
         let names = downbeat_yaml::finding::names(from_zero);
         sink.note(format!(
-            "{}: the first time in {names} is 0 s: the robot must be at this position before the start",
+            "{}: the first time in {names} is 0 s: the robot must be at the first position before the start",
             source.name
         ));
     }
@@ -47,7 +47,8 @@ fn read_motions(root: &At<'_>, findings: &mut Reader) -> Option<Vec<(String, Vec
     let parameters = tree::optional(node, "ros__parameters").or_else(|| tree::optional(node, "play_motion"));
     let parameters = parameters.as_ref().unwrap_or(node);
     let list = tree::required(parameters, "motions", "the file", findings)?;
-    let entries = findings.entries(&list, "motion to its joints, positions and times_from_start");
+    let entries =
+        findings.entries(&list, "a map from each motion to its `joints`, `positions` and `times_from_start`");
     if entries.is_empty() && matches!(list.node, Node::Map(_)) {
         findings.add(Code::NothingToDo, list.place(), "the file has no motions", "at least one motion", None);
     }

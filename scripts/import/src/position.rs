@@ -38,8 +38,8 @@ pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
     if let [(robot, _), others @ ..] = unknown.as_slice() {
         let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
         sink.note(format!(
-            "the unit of `x`, `y`, `z` of `{robot}`{more} is unknown, so distances between robots are not checked: \
-             add it to the column names, as in `x [m]`, or add a `body` in the fleet file"
+            "the unit of `x`, `y` and `z` of `{robot}`{more} is unknown, so distances between robots are not checked: \
+             add the unit to the column names, as in `x [m]`, or add a `body` in the fleet file"
         ));
     }
 }

@@ -25,7 +25,7 @@ pub(super) fn note_absent(scenes: &[Scene], sink: &mut Sink) {
     }
     for (robot, count) in present.into_iter().filter(|(_, count)| *count < scenes.len()).take(20) {
         sink.note(format!(
-            "`{robot}` is in {count} of {} scenes and holds still in the others",
+            "`{robot}` is in {count} of {} scenes and does not move in the others",
             scenes.len()
         ));
     }
@@ -106,7 +106,7 @@ pub(super) fn note_joins(scenes: &[Scene], sink: &mut Sink) {
     }
     if let Some((_, text)) = largest {
         sink.note(format!(
-            "scenes do not begin exactly where the previous scene ended: the difference is at most {text}"
+            "scenes do not start exactly where the previous scene ended: the largest difference is {text}"
         ));
     }
 }

@@ -142,8 +142,9 @@ impl Sink {
             0..FINDINGS_A_FILE_MAX => self.findings.push(finding),
             FINDINGS_A_FILE_MAX => {
                 let message = format!("the file has more than {FINDINGS_A_FILE_MAX} findings");
-                let hint = Some("check that the file has this format, see `docs/import.md`".to_owned());
-                let expected = "a file in the given format";
+                let hint =
+                    Some("check that the file is in the selected format (see `docs/import.md`)".to_owned());
+                let expected = "a file in the selected format";
                 self.findings.push(Finding::about_file(finding.code, &finding.file, message, expected, hint));
             }
             _ => {}

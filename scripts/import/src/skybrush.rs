@@ -130,7 +130,7 @@ impl Told {
             self.late_yaw,
             "heading times are counted from the start of the show, not from the takeoff, as in Skybrush",
         );
-        tell(self.still, "left out points that repeat the previous point at the same time");
+        tell(self.still, "left out points with the same time and position as the previous point");
         tell(
             self.fades,
             &format!("lights fade in steps, one every {period_ms} ms; use --rate to change this"),
@@ -509,7 +509,7 @@ fn read_yaw(at: &At<'_>, findings: &mut Reader) -> Option<Yaw> {
                     Code::ImportTime,
                     item.place(),
                     message,
-                    "times of at least 0 that increase",
+                    "times of at least 0, in increasing order",
                     None,
                 );
                 return None;

@@ -57,7 +57,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
         let (Some(name), Some(length)) = (bytes.get(at..at + 4), number(bytes, at + 4, 4)) else {
             let end = bytes.len();
             return Err(format!(
-                "the file is cut off at byte {end} within the header of a chunk at byte {at}, which has {CHUNK} bytes"
+                "the file is cut off at byte {end}, within the {CHUNK}-byte header of the chunk at byte {at}"
             ));
         };
         let is_track = name == b"MTrk";
@@ -66,7 +66,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
             let what = if is_track { format!("track {found}") } else { "a chunk".to_owned() };
             let (end, left) = (bytes.len(), bytes.len() - begin);
             return Err(format!(
-                "the file is cut off at byte {end}: {what}, from byte {begin} on, has {left} of {length} bytes"
+                "the file is cut off at byte {end}: {what}, which starts at byte {begin}, has only {left} of {length} bytes"
             ));
         };
         if is_track {
@@ -102,13 +102,10 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     let (Some(length), Some(format), Some(tracks), Some(division)) =
         (part(4, 4), part(8, 2), part(10, 2), part(12, 2))
     else {
-        return Err(format!(
-            "the file is cut off at byte {} within its header, which has {HEADER} bytes",
-            bytes.len()
-        ));
+        return Err(format!("the file is cut off at byte {}, within its {HEADER}-byte header", bytes.len()));
     };
     if length < HEADER - CHUNK {
-        return Err(format!("the header has {length} bytes, but at least {} are expected", HEADER - CHUNK));
+        return Err(format!("the header has {length} bytes, but must have at least {}", HEADER - CHUNK));
     }
     if format == 2 && tracks > 1 {
         return Err("format 2, in which each track is a separate song, is not supported: save each track as a separate file".to_owned());
@@ -194,7 +191,11 @@ impl<'a> Track<'a> {
                 self.data()?;
                 return Ok(Event::Exclusive);
             }
-            0xf1.. => return Err(self.wrong(at, &format!("the status {first:#04x} is not valid in a file"))),
+            0xf1.. => {
+                return Err(
+                    self.wrong(at, &format!("the status byte {first:#04x} is not valid in a MIDI file"))
+                );
+            }
             0x80.. => {
                 self.interrupted = false;
                 first
@@ -204,7 +205,9 @@ impl<'a> Track<'a> {
                 // According to the standard, such an event ends the running status. But many programs continue it, and the byte has no
                 // other meaning.
                 song.resumed += usize::from(std::mem::take(&mut self.interrupted));
-                self.status.ok_or_else(|| self.wrong(at, &format!("the value {first:#04x} has no status")))?
+                self.status.ok_or_else(|| {
+                    self.wrong(at, &format!("missing status byte before the value {first:#04x}"))
+                })?
             }
         };
         self.status = Some(status);
@@ -230,7 +233,7 @@ impl<'a> Track<'a> {
             value @ 0..0x80 => Ok(value),
             other => Err(self.wrong(
                 self.at - 1,
-                &format!("unexpected {other:#04x} within a message, expected a value below 0x80"),
+                &format!("unexpected byte {other:#04x} within a message, expected a value below 0x80"),
             )),
         }
     }
@@ -246,7 +249,7 @@ impl<'a> Track<'a> {
                 return Ok(sum);
             }
         }
-        Err(self.wrong(begin, "a number has more than four bytes"))
+        Err(self.wrong(begin, "a variable-length number has more than four bytes"))
     }
 
     /// Reads a length, then that many bytes, and returns the bytes.

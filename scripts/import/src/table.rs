@@ -168,7 +168,7 @@ impl Row<'_> {
         }
         let message = format!("line {} has {}, not {columns}", self.line, counted(found, "column"));
         let hint = (found < columns).then_some("is the file complete?");
-        let expected = format!("{columns} columns, as the header has");
+        let expected = format!("{columns} columns, as in the header");
         sink.found(source, self.spot(found.min(columns)), Code::ImportTable, message, expected, hint);
         false
     }
@@ -193,11 +193,11 @@ impl Row<'_> {
             None => format!("{what} is the text `{}`", shortened(text)),
         };
         let hint = match self.decimal {
-            Some(Decimal::Comma) if text.contains('.') => Some("write decimal commas everywhere"),
+            Some(Decimal::Comma) if text.contains('.') => Some("write decimal commas throughout the file"),
             _ if text.contains(',') => {
                 Some("write decimal points, or set the decimal mark with --decimal comma or --decimal point")
             }
-            _ if text.contains(';') => Some("use one separator between columns"),
+            _ if text.contains(';') => Some("use the same separator between all columns"),
             _ => None,
         };
         sink.found(source, self.spot(index), Code::ImportNumber, message, "a finite number", hint);

@@ -46,7 +46,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let dialect = Dialect::of(source, options.skip, options.decimal);
     let mut rows = rows(source, dialect).peekable();
     let Some(first) = rows.peek().cloned() else {
-        let expected = "a header and one line per time";
+        let expected = "a header line, and one line for each time";
         sink.about(&source.name, Code::ImportTable, "the file is empty".into(), expected, None);
         return Vec::new();
     };
@@ -60,7 +60,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     }
     let Some((time, mut mapped)) = columns(&table, input, sink) else { return Vec::new() };
     if dialect.decimal == Some(Decimal::Comma) && options.decimal.is_none() {
-        sink.note(format!("{}: numbers are read with decimal commas", source.name));
+        sink.note(format!("{}: commas in numbers are read as decimal commas", source.name));
     }
     let found = sink.findings.len();
     let mut clock = Clock { time, first: None, last: None };
@@ -80,7 +80,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
         sink.about(
             &source.name,
             Code::NothingToDo,
-            "the file has no lines of values".into(),
+            "the file has no lines with values".into(),
             "one line per time",
             None,
         );
@@ -95,7 +95,7 @@ fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
         return false;
     };
     let own = downbeat_yaml::render::counted(table.header.width, "column");
-    let message = format!("the first line has {own}, but the lines from {} on have {cells}", before + 1);
+    let message = format!("the first line has {own}, but the lines from line {} on have {cells}", before + 1);
     let hint = format!("if the lines above are a title, skip them with --skip {before}");
     let expected = "a header with the names of all columns";
     sink.found(table.source, table.header.row.spot(0), Code::ImportTable, message, expected, Some(&hint));
@@ -161,7 +161,7 @@ fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUni
         if matches!(said, Said::Unit(other) if other != unit) {
             let column = shortened(header.text(index));
             sink.note(format!(
-                "{}: --time-unit is used, although the column is named `{column}`",
+                "{}: --time-unit overrides the unit in the column name `{column}`",
                 source.name
             ));
         }
@@ -207,7 +207,7 @@ fn clock(
         // A time that does not match is reported when its line is read.
         [] => match moments::clocks(std::iter::once(first)).first() {
             Some((_, unit)) => Some(*unit),
-            None => table.unclear(index, "the times have no known format", UNIT, sink),
+            None => table.unclear(index, "unknown format of the times", UNIT, sink),
         },
         several => {
             let words: Vec<_> = several.iter().map(|(word, _)| *word).collect();
@@ -338,11 +338,11 @@ impl Mapped {
         let Self { robot, motion, empty, same, .. } = self;
         let device = &motion.device;
         if motion.keyframes.is_empty() && sink.findings.is_empty() {
-            let message = format!("the column of `{device}` of `{robot}` is empty");
+            let message = format!("the column for `{device}` of `{robot}` is empty");
             sink.about(&source.name, Code::NothingToDo, message, "at least one value", None);
         } else if *empty > 0 {
             let cells = downbeat_yaml::render::counted(*empty, "empty cell");
-            let how = if motion.course == Course::Straight { "moves straight" } else { "stays as it is" };
+            let how = if motion.course == Course::Straight { "moves straight" } else { "keeps its value" };
             sink.note(format!("{}: `{device}` of `{robot}` {how} through {cells}", source.name));
         }
         if *same > 0 {

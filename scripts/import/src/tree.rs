@@ -39,7 +39,7 @@ pub(super) fn read<T>(
     }
     if is_too_deep(&source.text) {
         let message = format!("brackets are nested more than {DEPTH_MAX} levels deep");
-        let hint = "valid files nest only a few levels deep";
+        let hint = "check the brackets: valid files are nested only a few levels deep";
         sink.about(&source.name, Code::Syntax, message, "a YAML or JSON document", Some(hint));
         return None;
     }
@@ -96,7 +96,7 @@ fn read_document<T>(
 fn has_too_many_values(source: &Source, sink: &mut Sink) -> bool {
     let commas = memchr::memchr_iter(b',', source.text.as_bytes()).count();
     if commas > COMMAS_MAX {
-        let message = format!("the file has {commas} commas");
+        let message = format!("the file has too many values, separated by {commas} commas");
         let expected = format!("at most {COMMAS_MAX} values");
         sink.about(&source.name, Code::ImportLimit, message, &expected, Some("split it into several files"));
     }
@@ -164,7 +164,8 @@ pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f
         other => {
             let message = format!("{what} is {}", other.kind());
             let is_cut = matches!(other, Node::Text(text) if text == "...");
-            let hint = is_cut.then(|| "print all of it with `ros2 topic echo --full-length`".to_owned());
+            let hint =
+                is_cut.then(|| "print the complete message with `ros2 topic echo --full-length`".to_owned());
             findings.add(Code::ImportNumber, at.place(), message, "a finite number", hint);
             None
         }

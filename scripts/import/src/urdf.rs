@@ -108,7 +108,7 @@ pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document
     if let Some(macros) =
         robot.descendants().find(|node| node.tag_name().namespace().is_some_and(|n| n.contains("xacro")))
     {
-        let hint = Some("expand it first with xacro: xacro robot.urdf.xacro > robot.urdf");
+        let hint = Some("expand the macros first: `xacro robot.urdf.xacro > robot.urdf`");
         found(
             macros,
             source,
@@ -159,12 +159,12 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
         sink.about(&source.name, Code::ImportLimit, message, &format!("at most {JOINTS_MAX} joints"), None);
     }
     if joints.is_empty() && sink.findings.is_empty() {
-        let message = "the robot has no joint that moves".to_owned();
+        let message = "the robot has no movable joints".to_owned();
         sink.about(
             &source.name,
             Code::NothingToDo,
             message,
-            "a revolute, continuous or prismatic joint",
+            "at least one revolute, continuous or prismatic joint",
             None,
         );
     }
@@ -235,13 +235,13 @@ fn range(
         return Some((-TURN, TURN));
     }
     let Some(limit) = limit else {
-        let message = format!("the joint `{}` is {kind} and has no limit", shortened(name));
+        let message = format!("missing limits of the joint `{}`, which is {kind}", shortened(name));
         found(
             node,
             source,
             Code::MissingKey,
             message,
-            "<limit lower= upper= velocity= effort=/>",
+            "a `<limit>` with `lower`, `upper`, `velocity` and `effort`",
             None,
             sink,
         );
@@ -253,7 +253,7 @@ fn range(
     if lower < upper {
         return Some((lower, upper));
     }
-    let message = format!("the limits of the joint `{}` are {lower} to {upper}", shortened(name));
+    let message = format!("invalid limits of the joint `{}`: from {lower} to {upper}", shortened(name));
     found(limit, source, Code::ImportShape, message, "a lower limit below the upper one", None, sink);
     None
 }
@@ -331,9 +331,12 @@ impl Told {
             ));
         }
         for (list, text) in [
-            (&self.left_out, "left out joints with more than one value"),
-            (&self.mimics, "left out joints that follow another joint"),
-            (&self.endless, "continuous joints, limited to one turn in each direction (correct the limits)"),
+            (&self.left_out, "left out joints with more than one degree of freedom"),
+            (&self.mimics, "left out joints that mimic another joint"),
+            (
+                &self.endless,
+                "continuous joints, limited to one turn in each direction (adjust the limits as needed)",
+            ),
             (&self.slow, "joints without a velocity limit (their speed is not limited)"),
             (&self.away, "joints that cannot be at 0 (their default_value is the limit closest to 0)"),
         ] {
@@ -345,8 +348,8 @@ impl Told {
             sink.note(format!("{file}: left out {}", downbeat_yaml::render::counted(self.efforts, "effort")));
         }
         sink.note(format!(
-            "{file}: a URDF does not contain granularity and max_error (set to {GRANULARITY}) or \
-             max_number_of_steps (set to {STEPS}): correct them. Links, meshes, masses and transmissions are ignored"
+            "{file}: a URDF does not specify granularity, max_error (both set to {GRANULARITY}) or \
+             max_number_of_steps (set to {STEPS}): adjust these values to your robot. Links, meshes, masses and transmissions are ignored"
         ));
     }
 }
@@ -383,7 +386,7 @@ fn fleet_text(id: &str, path: &str, joints: &[Joint]) -> String {
     let limits: BTreeMap<&str, f64> =
         joints.iter().filter_map(|joint| Some((joint.name.as_str(), joint.velocity?))).collect();
     if !limits.is_empty() {
-        text.push_str("    limits: # the velocities of the description, in the joint's unit per second\n");
+        text.push_str("    limits: # the velocity limits of the URDF, in the joint's unit per second\n");
         for joint in joints.iter().filter(|joint| limits.contains_key(joint.name.as_str())) {
             let speed = number(limits[joint.name.as_str()]);
             line(&mut text, format_args!("      {}: {{speed: {speed}}}", scalar(&joint.name)));

@@ -211,7 +211,7 @@ fn joint(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<TreeJoi
     };
     let long = axis.iter().map(|part| part * part).sum::<f64>().sqrt();
     if !(long >= 1e-9 && long.is_finite()) {
-        let message = format!("the axis of the joint `{}` has no direction", shortened(&name));
+        let message = format!("the axis of the joint `{}` is not a valid direction", shortened(&name));
         found(node, source, Code::ImportShape, message, "a vector", None, sink);
         return None;
     }

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use urrcp::Span;
 
 use downbeat_yaml::finding::Code;
+use downbeat_yaml::render::counted;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
@@ -82,7 +83,7 @@ fn factors(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<[f64; 5
             Some(factor) => factors[index] = factor,
             None => {
                 let message = format!("column {} of the header is `{}`", index + 1, shortened(&cell.text));
-                let hint = Some("the header is id,x[m],y[m],z[m],t[s]");
+                let hint = Some("the header must be id,x[m],y[m],z[m],t[s]");
                 let expected =
                     if unit.is_empty() { format!("`{name}`") } else { format!("`{name}[{unit}]`") };
                 sink.found(source, header.spot(index), Code::ImportTable, message, expected, hint);
@@ -135,9 +136,9 @@ fn is_later(last: &Waypoint, next: &Waypoint, row: &Row<'_>, source: &Source, si
 fn note_unequal(robots: &[(String, Vec<Waypoint>)], source: &Source, sink: &mut Sink) {
     let most = robots.iter().map(|(_, own)| own.len()).max().unwrap_or(0);
     for (robot, own) in robots.iter().filter(|(_, own)| own.len() < most).take(NOTES_MAX) {
-        let have = own.len();
+        let have = counted(own.len(), "waypoint");
         sink.note(format!(
-            "{}: `{robot}` has {have} waypoints, but others have {most}: it moves straight between its own",
+            "{}: `{robot}` has {have}, but other robots have up to {most}: it moves in straight lines between its own waypoints",
             source.name
         ));
     }

@@ -63,8 +63,8 @@ fn joints(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<Vec<Join
     for (index, expected) in [MAGIC, VERSION].into_iter().enumerate() {
         let text = header.cells.get(index).map_or("", |cell| cell.text.as_ref());
         if text != expected {
-            let message = format!("the header begins with `{}`", shortened(text));
-            let hint = Some("the header is #WEBOTS_MOTION,V1.0 and the names of the joints");
+            let message = format!("unexpected `{}` in the header", shortened(text));
+            let hint = Some("the header must be #WEBOTS_MOTION,V1.0 and the names of the joints");
             sink.found(source, header.spot(index), Code::ImportTable, message, format!("`{expected}`"), hint);
             return None;
         }
@@ -143,7 +143,7 @@ fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
     if gaps > 0 {
         let gaps = downbeat_yaml::render::counted(gaps, "value");
         sink.note(format!(
-            "{}: {gaps} `*`, at which the joint keeps its value until the next one",
+            "{}: {gaps} written as `*`: the joint keeps its previous value until the next number",
             source.name
         ));
     }

@@ -119,7 +119,7 @@ impl NoMusicalLength {
     pub fn message(self, text: &str) -> String {
         match self {
             Self::WithoutTempo => format!("`{text}` is a musical time, but the scenario has no tempo"),
-            Self::StartNotFixed => format!("how long `{text}` lasts depends on when the cue begins"),
+            Self::StartNotFixed => format!("the length of `{text}` depends on the start time of the cue"),
             Self::Position => format!("`{text}` is a position in the music, not a length"),
         }
     }

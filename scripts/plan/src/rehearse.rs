@@ -88,7 +88,7 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
         for (found, limit, unit) in [(used.speed, limits.0, "m/s"), (used.acceleration, limits.1, "m/s²")] {
             let Some(limit) = limit.filter(|limit| found > limit * DUST) else { continue };
             faults.push(format!(
-                "robot `{}`: its body would reach {found:.3} {unit}, at most {limit} is allowed (act `{}`)",
+                "robot `{}`: its body would reach {found:.3} {unit}, but the limit is {limit} (act `{}`)",
                 used.robot, act.name
             ));
         }
@@ -97,7 +97,7 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
         let most = used.factor_max.min(used.entry_factor_max);
         if speed > most * DUST {
             faults.push(format!(
-                "robot `{}` device `{}` can move at most {most:.3} times as fast as written (act `{}`)",
+                "robot `{}`, device `{}`: it can move at most {most:.3} times as fast as written (act `{}`)",
                 used.robot, used.device, act.name
             ));
         }
@@ -110,7 +110,7 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
         for script in &mut robot.scripts {
             let found = stretch(script, speed, listed);
             faults.extend(found.into_iter().map(|fault| {
-                format!("robot `{}` device `{}` {fault} (act `{}`)", robot.robot, script.device, act.name)
+                format!("robot `{}`, device `{}`: {fault} (act `{}`)", robot.robot, script.device, act.name)
             }));
         }
     }
@@ -124,7 +124,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
     let mut steps = Vec::with_capacity(script.script.steps().len());
     for step in script.script.steps() {
         let Ok(offset) = millis(step.offset) else {
-            return vec!["would exceed the maximum length of a script".to_owned()];
+            return vec!["the script would exceed its maximum length".to_owned()];
         };
         let mut setpoint = step.setpoint.clone();
         let factor = match setpoint.control_type {
@@ -147,7 +147,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
     script.rest = Span::from_millis_f64(script.rest.as_millis_f64() / speed);
     match (Script::new(steps), millis(script.start)) {
         (Ok(stretched), Ok(start)) => (script.script, script.start) = (stretched, start),
-        _ => faults.push("would exceed the maximum length of a script".to_owned()),
+        _ => faults.push("the script would exceed its maximum length".to_owned()),
     }
     faults
 }

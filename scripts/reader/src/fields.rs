@@ -189,8 +189,8 @@ impl Reader {
         };
         if is_new {
             known.message = match places.len() - 1 {
-                1 => format!("{first}; 1 other time also needs one"),
-                others => format!("{first}; {others} other times also need one"),
+                1 => format!("{first}; 1 other time also needs a tempo"),
+                others => format!("{first}; {others} other times also need a tempo"),
             };
         }
         false
@@ -369,7 +369,8 @@ impl Reader {
         let hint = Some(if is_scalar(expected) {
             format!("write `{}`, without braces", shortened(&slips::bare(&self.scope, &inner)))
         } else {
-            "variables can only replace numbers, times and names: write out everything else".to_owned()
+            "variables can only replace numbers, times and names: write everything else out in full"
+                .to_owned()
         });
         self.add(Code::WrongType, at.place(), message, expected, hint);
         true
@@ -424,7 +425,7 @@ impl Reader {
                 Some(index) => self.duplicate(&at.entry(known[index], 1, node), key),
                 None => {
                     let hint = match key.as_str() {
-                        "<<" => Some("merge keys are not supported: write out the keys".to_owned()),
+                        "<<" => Some("merge keys are not supported: write the keys out in full".to_owned()),
                         _ if syntax::without_space(key, known).is_some() => syntax::without_space(key, known),
                         _ => syntax::without_colon(key, known)
                             .filter(|_| *node == Node::Null)
@@ -488,13 +489,14 @@ impl Reader {
             .any(|hint| meant.iter().any(|meant| hint.contains(meant)))
     }
 
-    /// The entries of a map whose keys are names of the user, each key once.
-    pub fn entries<'a>(&mut self, at: &'a At<'a>, what: &str) -> Vec<(&'a str, At<'a>)> {
+    /// Returns the entries of a map whose keys are names that the user chooses. Adds a finding for each duplicate key. `expected`
+    /// describes the map: `a map from each role to its robots`.
+    pub fn entries<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<(&'a str, At<'a>)> {
         let Node::Map(entries) = at.node else {
-            self.wrong_type(at, &format!("a map from {what}"));
+            self.wrong_type(at, expected);
             return Vec::new();
         };
-        if self.is_template(at, &format!("a map from {what}")) {
+        if self.is_template(at, expected) {
             return Vec::new();
         }
         let mut seen = std::collections::HashSet::new();
@@ -510,7 +512,7 @@ impl Reader {
     }
 
     fn duplicate(&mut self, at: &At<'_>, key: &str) {
-        let hint = Some("keep one of them".to_owned());
+        let hint = Some("keep only one of them".to_owned());
         let message = format!("duplicate key `{}` in this map", shortened(key));
         self.add(Code::DuplicateKey, at.key_place(), message, "unique keys", hint);
     }

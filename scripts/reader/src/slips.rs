@@ -86,7 +86,7 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         "forwards" | "normal" | "asc" | "ascending" if has("forward") => "forward",
         "left" | "lefttoright" | "right" | "righttoleft" if has("backward") => {
             return Some(
-                "write `by: x` with `direction: forward` from left to right, or `direction: backward`"
+                "write `by: x` with `direction: forward` (left to right) or `direction: backward` (right to left)"
                     .to_owned(),
             );
         }
@@ -103,14 +103,14 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         "fifo" | "first" | "fixed" | "file" | "manual" | "listed" | "sequential" if has("auto") => "given",
         "exclusive" | "mutex" | "lock" | "single" | "shared" if has("auto") => {
             return Some(
-                "only one cue at a time can use a zone: `given` keeps the order of the file, `auto` searches for a short one"
+                "only one cue at a time can use a zone: `given` keeps the order of the file, `auto` searches for an order that takes less time"
                     .to_owned(),
             );
         }
         "pause" | "freeze" | "hold" | "estop" | "emergencystop" if has("without") => "stop",
         "retry" | "restart" | "reconnect" if has("without") => {
             return Some(
-                "a failed robot does not restart in this act: use `without` to continue without it"
+                "a failed robot cannot restart during this act: use `without` to continue without it"
                     .to_owned(),
             );
         }
@@ -156,7 +156,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
     match node {
         Node::Text(text) if scope.get(text).is_some() => Some(format!("write the variable as `${text}`")),
         Node::Text(text) if is_value(place) && STATES.contains(&text.to_lowercase().as_str()) => {
-            Some("write the number that the device takes, such as `0` or `1`".to_owned())
+            Some("write the number that the device expects, such as `0` or `1`".to_owned())
         }
         Node::Text(text) if expected.starts_with("robot `") && text.ends_with(".yaml") => {
             Some(format!("write `{{init: {}, address: sim}}`", shortened(text)))
@@ -169,7 +169,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some(format!("write `{{move: {text}}}`"))
         }
         Node::Text(text) if expected == "a finite number" && colour(text).is_some() => colour(text)
-            .map(|values| format!("write a list, if the device takes several values: `{values:?}`")),
+            .map(|values| format!("if the device takes several values, write a list: `{values:?}`")),
         Node::Number(value) if expected == "true or false" => Some(match place.path.last() {
             Some(Part::Key(key, _)) if key == "mirror" => format!("write `{{about: {value}}}`"),
             _ => format!("write `{}`", *value != 0.0),
@@ -201,11 +201,12 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
         Node::List(_) if expected.starts_with("the sequence `") => {
             Some("write the list below `cues:`".to_owned())
         }
-        Node::List(_) if expected.starts_with("the name of an act") => {
-            Some("write only one act; use `otherwise` of a `wait` for another one".to_owned())
-        }
+        Node::List(_) if expected.starts_with("the name of an act") => Some(
+            "write only one act; to go to another act after a timeout, use `otherwise` under `wait`"
+                .to_owned(),
+        ),
         Node::List(_) if expected.starts_with("the name of a formation") => {
-            Some("write a cue for each of them".to_owned())
+            Some("write a separate cue for each formation".to_owned())
         }
         Node::List(items) if expected == "`home`" => match &items[..] {
             [Node::Text(home), Node::Text(over)] if home == "home" => {
@@ -269,10 +270,10 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some("put each place in its own brackets: `[[0, 0, 1], [1, 0, 1]]`".to_owned())
         }
         Node::Number(value) if expected.starts_with("a place in metres") => {
-            Some(format!("write all three: `[0, 0, {value}]`"))
+            Some(format!("write all three coordinates: `[0, 0, {value}]`"))
         }
         Node::Number(value) if expected.starts_with("metres along x, y and z") => {
-            Some(format!("write all three: `[0, 0, {value}]`"))
+            Some(format!("write all three coordinates: `[0, 0, {value}]`"))
         }
         Node::Number(value) if expected.starts_with("a time signature") => Some(format!("write `{value}/4`")),
         Node::Number(value) if expected.starts_with("a whole number") => times(place, *value),
@@ -280,28 +281,31 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
         Node::Bool(true) if expected == "`strict`" => Some("write `strict`".to_owned()),
         Node::Bool(false) if expected == "`strict`" => Some("leave the key out".to_owned()),
         Node::Bool(_) | Node::Null if wants_number(expected) && is_value(place) => {
-            Some("write the number that the device takes, such as `0` or `1`".to_owned())
+            Some("write the number that the device expects, such as `0` or `1`".to_owned())
         }
         Node::List(items) if wants_number(expected) => Some(one_number(place, items)),
         Node::List(items) if expected.starts_with("a time signature") => match &items[..] {
             [Node::Number(beats), Node::Number(unit)] => Some(format!("write `{beats}/{unit}`")),
             _ => None,
         },
-        Node::List(_) if expected.starts_with("a map from robot id") => {
+        Node::List(_) if expected.starts_with("a map from each robot id") => {
             Some("write a map: `{left: {init: arm.yaml, address: sim}}`".to_owned())
         }
-        Node::List(_) if expected.starts_with("a map from device to its keyframes") => {
+        Node::List(_) if expected.starts_with("a map from each device to its keyframes") => {
             Some("write a map: `{elbow: [{at: 0s, to: 0}]}`".to_owned())
         }
-        Node::List(items) if expected == "a map from parameter to its default" => {
+        Node::List(items) if expected == "a map from each parameter to its default" => {
             let name = |item: &Node| match item {
                 Node::Text(name) => Some(format!("{}: ~", shortened(name))),
                 _ => None,
             };
             let names: Option<Vec<String>> = items.iter().map(name).collect();
-            Some(format!("write each with its default, or `~` for none: `{{{}}}`", names?.join(", ")))
+            Some(format!(
+                "write each parameter with its default, or `~` for none: `{{{}}}`",
+                names?.join(", ")
+            ))
         }
-        Node::List(_) if expected.starts_with("a map from") => {
+        Node::List(_) if expected.starts_with("a map from each") => {
             Some("write a map, with a name for each entry: `{name: ...}`".to_owned())
         }
         Node::List(_) if expected == "the name of a move" => {
@@ -311,10 +315,10 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some("write the path of one file that lists all robots".to_owned())
         }
         Node::Null if expected.starts_with("a list of keyframes") => {
-            Some("write its keyframes below it, as in `[{at: 0s, to: 0}, {at: 1s, to: 45}]`".to_owned())
+            Some("add the keyframes, as in `[{at: 0s, to: 0}, {at: 1s, to: 45}]`".to_owned())
         }
-        Node::Null if expected.starts_with("`sim`") => Some("write `sim` to simulate it".to_owned()),
-        Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
+        Node::Null if expected.starts_with("`sim`") => Some("write `sim` to simulate the robot".to_owned()),
+        Node::Tagged(_) => Some("remove the tag: tags are not supported".to_owned()),
         _ => None,
     }
 }
@@ -324,18 +328,18 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
 pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
-            Some("begin every entry of the list with a dash: `- `")
+            Some("start every entry of the list with a dash: `- `")
         }
-        Node::List(_) if expected.starts_with("a map from robot id") => {
+        Node::List(_) if expected.starts_with("a map from each robot id") => {
             Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash")
         }
-        Node::List(_) if expected.starts_with("a map from device to its keyframes") => {
+        Node::List(_) if expected.starts_with("a map from each device to its keyframes") => {
             Some("write `elbow: [{at: 0s, to: 0}]` for each device, without a dash")
         }
-        Node::List(_) if expected == "a map from parameter to its default" => {
-            Some("write each with its default, or `~` for none, without a dash: `height: ~`")
+        Node::List(_) if expected == "a map from each parameter to its default" => {
+            Some("write each parameter without a dash, and with its default or `~` for none: `height: ~`")
         }
-        Node::List(_) if expected.starts_with("a map from") => {
+        Node::List(_) if expected.starts_with("a map from each") => {
             Some("write `name: ...` for each entry instead of a dash")
         }
         _ => None,
@@ -348,20 +352,22 @@ fn truth(text: &str, place: &Place) -> Option<String> {
     let value = match text.to_lowercase().as_str() {
         "yes" | "on" | "y" | "ja" => true,
         "no" | "off" | "n" | "nein" => false,
-        _ if is_mirror => return Some("`true` mirrors about 0, and `{about: 45}` about 45".to_owned()),
+        _ if is_mirror => {
+            return Some("`true` mirrors about 0, and `{about: 45}` mirrors about 45".to_owned());
+        }
         _ => return None,
     };
     Some(format!("write `{value}`"))
 }
 
-/// A hint for a cue that is meant to repeat endlessly.
-const ENDLESS: &str = "endless repetition is not supported: write a number or `{for: 60s}`; to repeat an act until the operator continues, add to \
-                       the next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
+/// The hint for a movement that is meant to repeat endlessly.
+const ENDLESS: &str = "endless repetition is not supported: write a number or `{for: 60s}`; to repeat an act until the operator continues, add \
+                       `wait: {for: operator, timeout: 1s, otherwise: NAME}` to the next act";
 
 /// Returns a hint for `value`, a number that must be above 0 but is not.
 pub fn not_positive(expected: &str, value: f64) -> Option<String> {
     match (expected.starts_with("a frequency"), value < 0.0) {
-        (true, true) => Some(format!("write `{}`; `phase: 180` inverts the wave", -value)),
+        (true, true) => Some(format!("write `{}`; to invert the wave, add `phase: 180`", -value)),
         (true, false) => Some(
             "write cycles per second, as in `frequency: 0.5`; use a keyframe for a constant value".to_owned(),
         ),
@@ -401,22 +407,23 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
     if is_endless(text) || text == "never" {
         return match keys.as_slice() {
             [_, "repeat", ..] => Some(ENDLESS.to_owned()),
-            ["stop_condition", ..] | ["running", ..] => {
-                Some("with `stop_condition: {running: none}`, robots continue without the server".to_owned())
-            }
+            ["stop_condition", ..] | ["running", ..] => Some(
+                "write `stop_condition: {running: none}` to let robots continue without the server"
+                    .to_owned(),
+            ),
             _ => None,
         };
     }
     let positive = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some())?;
     match *keys.first()? {
-        "period" => Some(format!("write `{positive}`; `phase: 180` inverts the wave")),
+        "period" => Some(format!("write `{positive}`; to invert the wave, add `phase: 180`")),
         "every" => {
-            Some("leave `every` out: then each repetition begins when the previous one has ended".to_owned())
+            Some("leave `every` out: each repetition then starts when the previous one ends".to_owned())
         }
         "canon" => {
-            Some(format!("write `{{step: {positive}, direction: backward}}` to begin with the last robot"))
+            Some(format!("write `{{step: {positive}, direction: backward}}` to start with the last robot"))
         }
-        "step" => Some(format!("write `{positive}`, and `direction: backward` to begin with the last robot")),
+        "step" => Some(format!("write `{positive}`, and `direction: backward` to start with the last robot")),
         _ => None,
     }
 }
@@ -430,7 +437,7 @@ pub fn instant(text: &str) -> String {
         () => "20:00".to_owned(),
     };
     format!(
-        "use `downbeat run --at {at}` to start the show at an instant, or `wait: {{time: \"{at}\"}}` to start an act"
+        "use `downbeat run --at {at}` to start the show at a given time, or `wait: {{time: \"{at}\"}}` to start an act at that time"
     )
 }
 
@@ -563,7 +570,9 @@ fn one_number(place: &Place, items: &[Node]) -> String {
     });
     let (key, first) = (key.unwrap_or("to"), first.unwrap_or(2.0));
     match key {
-        "to" => format!("write one number, `to: {first}`: only a `custom_N` accepts several values"),
+        "to" => {
+            format!("write one number, `to: {first}`: only `custom_N` control types accept several values")
+        }
         _ => format!("write one number, as in `{}: {first}`", shortened(key)),
     }
 }
@@ -572,7 +581,7 @@ fn one_number(place: &Place, items: &[Node]) -> String {
 fn in_a_list(expected: &str, value: f64) -> Option<String> {
     let begins = |begin: &str| expected.starts_with(begin);
     if begins("a list of places") || begins("a list of points such as [") {
-        return Some("write three numbers for each, as in `[[0, 0, 1], [1, 0, 1]]`".to_owned());
+        return Some("write three numbers for each place, as in `[[0, 0, 1], [1, 0, 1]]`".to_owned());
     }
     if begins("a list of points such as {at") {
         return Some(format!(
@@ -590,13 +599,13 @@ fn in_a_list(expected: &str, value: f64) -> Option<String> {
     }
     if begins("a tempo: a map") {
         return Some(format!(
-            "write `tempo: {value}`, or `[{{at: bar 1, bpm: {value}}}]` for one that changes"
+            "write `tempo: {value}`, or, if the tempo changes, `[{{at: bar 1, bpm: {value}}}]`"
         ));
     }
     if begins("the minimum and maximum reading") {
         return Some(format!("write both: `[{}, {}]`", value.min(0.0), value.max(0.0)));
     }
-    begins("a map from sensor to the times")
+    begins("a map from each sensor to the times")
         .then(|| format!("add the time at which the sensor is read: `{{SENSOR: {value}s}}`"))
 }
 
@@ -696,9 +705,9 @@ fn of_thousands(text: &str) -> Option<String> {
     let is_certain = others.len() > 1 || !fraction.is_empty();
     let plain = text.replace(',', "");
     match (is_grouped && first != "0", is_certain) {
-        (true, true) => Some(format!("write it without commas: `{plain}`")),
+        (true, true) => Some(format!("write the number without commas: `{plain}`")),
         (true, false) => Some(format!(
-            "write it without the comma, `{plain}`, or with a decimal point, `{}`",
+            "write the number without the comma, `{plain}`, or with a decimal point, `{}`",
             text.replace(',', ".")
         )),
         (false, _) => None,
@@ -761,7 +770,7 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
         [&LENGTHS[..], &ANGLES[..]].into_iter().find(|scales| scales.iter().any(|(known, _)| *known == own));
     let hint = scales.and_then(|scales| converted(value, unit, own, scales));
     Some(hint.map_or_else(
-        || format!("`{device}` takes numbers in {own}{per}: write only the number, in this unit"),
+        || format!("`{device}` takes numbers in {own}{per}: write only the number, in that unit"),
         |hint| format!("`{device}` takes numbers in {own}{per}: {hint}"),
     ))
 }

@@ -96,10 +96,12 @@ fn way(
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {
-        let message =
-            format!("with the act `{}`, there are too many failure rules for robots", shortened(&act.name));
+        let message = format!(
+            "the act `{}` brings the number of failure rules for robots above the maximum",
+            shortened(&act.name)
+        );
         let expected = format!("at most {} in all acts", room.most());
-        let hint = Some("use a single word for `on_failure`, or fewer acts".to_owned());
+        let hint = Some("use one word for all robots under `on_failure`, or fewer acts".to_owned());
         findings.add(Code::TooMuch, act.place.clone(), message, expected, hint);
     }
     sound
@@ -173,7 +175,7 @@ fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &Sensor
     };
     if !is_possible {
         let message = format!("`{}` never reads {key} {waits}", device.id);
-        let expected = format!("readings within {least} to {most}");
+        let expected = format!("a value that the sensor can read, from {least} to {most}");
         findings.add(Code::OutOfRange, act.wait.place.of_key(key), message, expected, None);
     }
 }
@@ -249,7 +251,7 @@ fn unreachable(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex], beyond
         others => format!(", and with it {}", named(acts, others.iter().copied())),
     };
     let message = format!("the act `{}` is unreachable{others}", shortened(&act.name));
-    let hint = Some("add it under `next`, `otherwise` or `then` of another act".to_owned());
+    let hint = Some("refer to it under `next`, `otherwise` or `then` in another act".to_owned());
     findings.add(Code::Unreachable, act.place.clone(), message, "acts that can be reached", hint);
 }
 
@@ -264,7 +266,7 @@ fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
         }
     };
     let place = last.next.as_ref().map_or_else(|| last.place.clone(), |next| Place::clone(&next.place));
-    let end = format!("write `next: end` for `{name}`");
+    let end = format!("write `next: end` in the act `{name}`");
     let hint = Some(match circle {
         [_] => format!(
             "{end}; to repeat it until the operator continues, add `wait: {{for: operator, timeout: 1s, otherwise: {name}}}` to the act after it"

@@ -86,7 +86,7 @@ impl Homes<'_> {
         }
         if self.known.len() == HOMES_MAX {
             let message = format!(
-                "the mission may end with the devices at more than {HOMES_MAX} different sets of positions"
+                "the mission may end with more than {HOMES_MAX} different combinations of device positions"
             );
             let hint = Some(
                 "reduce the number of acts that lead to the end, or add one act that follows all of them"
@@ -108,7 +108,7 @@ impl Homes<'_> {
         if let Some(over) = self.at_end.over.filter(|over| *over < home.needed) {
             let needed = written(tenths_of_a_second(home.needed.as_millis_f64() / 1_000.0));
             let message = format!(
-                "the movement home lasts {}, but the limits of the devices require at least {needed}",
+                "the return home lasts {}, but the limits of the devices require at least {needed}",
                 written(over)
             );
             let hint =
@@ -130,8 +130,8 @@ impl Homes<'_> {
         let tell = |errors: Vec<Finding>| {
             for error in errors {
                 let message =
-                    format!("in the movement home, which lasts {}: {}", written(over), error.message);
-                let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves devices home one after another";
+                    format!("during the return home, which lasts {}: {}", written(over), error.message);
+                let hint = "allow more time, as in `at_end: {home: 10s}`, or add an act that moves the devices home one after another";
                 findings.add(error.code, place(), message, error.expected, Some(hint.to_owned()));
             }
         };
@@ -186,9 +186,9 @@ impl Homecoming {
                 0 => String::new(),
                 others => format!(" and {}", counted(others, "other device")),
             };
-            let message = format!("the position of {first}{others} after act `{act}` is not known");
-            let hint = "move it in the last act: different ways to this act leave it at different positions"
-                .to_owned();
+            let message = format!("the position of {first}{others} after the act `{act}` is unknown");
+            let hint =
+                "move it in this act, because its position depends on which acts came before".to_owned();
             findings.add(
                 Code::UnknownBeginning,
                 at_end.place.clone(),
@@ -315,7 +315,7 @@ mod tests {
         let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
         assert_eq!((finding.code, finding.line), (Code::UnknownBeginning, 2));
         assert!(
-            finding.message.contains("`arm/joint` and 1 other device after act `last`"),
+            finding.message.contains("`arm/joint` and 1 other device after the act `last`"),
             "{}",
             finding.message
         );
@@ -371,7 +371,7 @@ mod tests {
   - {act: two, cues: [{at: 0s, robots: arm, tracks: {lamp: [{at: 0s, to: 9}]}}]}\n";
         let findings = compiled(text).findings;
         let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
-        assert!(finding.message.contains("`arm/joint` after act `two`"), "{finding:?}");
+        assert!(finding.message.contains("`arm/joint` after the act `two`"), "{finding:?}");
     }
 
     #[test]

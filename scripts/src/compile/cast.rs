@@ -17,7 +17,7 @@ use crate::scenario::{Canon, Cue, Movement};
 use crate::shown::shortened;
 use crate::slips;
 
-const LISTED_TWICE: &str = "remove the second one; a group includes all of its robots";
+const LISTED_TWICE: &str = "remove the duplicate: a group already includes all its robots";
 
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
@@ -175,7 +175,7 @@ impl<'a> Cast<'a> {
         let of_role = self.roles.get(&name.text).map(|role| {
             let members: Vec<&str> = role.iter().map(|name| name.text.as_str()).collect();
             format!(
-                "a role can only contain robots and groups: write those of `{}`, `[{}]`",
+                "a role can only contain robots and groups: list the members of `{}` instead, `[{}]`",
                 shortened(&name.text),
                 members.join(", ")
             )
@@ -322,7 +322,8 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     if last <= horizon {
         return Cow::Borrowed(&cue.canon);
     }
-    let message = format!("the last of {} begins {last} after the cue", counted(robots, "robot"));
+    let message =
+        format!("the last of {} starts {last} after the start of the cue", counted(robots, "robot"));
     let (place, hint) = match &cue.canon {
         Canon::Even(_) => {
             let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);

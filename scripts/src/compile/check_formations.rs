@@ -32,7 +32,7 @@ pub(super) fn crowded(name: &str) -> String {
 /// Describes the distance between two places, as the end of a sentence.
 pub(super) fn apart(metres: f64, required: f64) -> String {
     if metres < SAME {
-        "are the same".to_owned()
+        "are at the same point".to_owned()
     } else {
         format!("are {} m apart", differing(metres, required)[0])
     }
@@ -48,7 +48,7 @@ pub(super) fn differing(a: f64, b: f64) -> [String; 2] {
 pub(super) fn between(found: f64, required: f64) -> String {
     let [_, required] = differing(found, required);
     format!(
-        "at least {required} m between centres: `distance` of the fleet's `space` plus the radii of two bodies"
+        "at least {required} m between centres: the `distance` in the fleet's `space` plus the radii of both bodies"
     )
 }
 

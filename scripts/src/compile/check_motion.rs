@@ -110,7 +110,7 @@ fn too_much(
     let list = |of: fn(&Rate) -> String| broken.iter().map(of).collect::<Vec<_>>().join(" and ");
     let length = knot.at - last.at;
     let said = format!(
-        "{}from {} to {} in {length} needs {}, for ",
+        "{}moving from {} to {} in {length} requires {}, for ",
         named(on.track, knot.item),
         tidy(last.to),
         tidy(knot.to),
@@ -188,7 +188,7 @@ impl Jump {
         let (from, to, at) = (tidy(self.from), tidy(self.to), self.at);
         let often = match times {
             1 => String::new(),
-            _ => format!(" and later, {times} times in all"),
+            _ => format!(" and again later, {times} times in total"),
         };
         let said = format!(
             "{}the movement jumps from {from} to {to} at {at}{often}, for ",
@@ -198,7 +198,7 @@ impl Jump {
             Some(limit) => {
                 let seconds = (self.to - self.from).abs() / limit;
                 let hint = format!(
-                    "allow {} for the change, or use the same value twice",
+                    "allow {} for the change, or use the same value before and after it",
                     duration::seconds(seconds)
                 );
                 (Code::TooFast, format!("a speed of at most {limit}"), hint)

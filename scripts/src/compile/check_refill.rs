@@ -95,9 +95,9 @@ impl Lines<'_> {
                 Code::ActHasToWait,
                 [
                     format!("the act `{act}` cannot follow immediately: `{device}` of "),
-                    format!(" can hold {holds}; {room}, {time} before the act"),
+                    format!(" can hold {holds}; {room}, {time} before the act starts"),
                 ],
-                format!("room in the queue {needed} before the act"),
+                format!("room in the queue at least {needed} before the act starts"),
             ),
             RefillKind::Later => (
                 if time > Span::ZERO { Code::LittleTimeToSend } else { Code::NoTimeToSend },
@@ -168,12 +168,12 @@ fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
             )
         }
         RefillKind::Later => format!(
-            "start `{device}` {lacking} later in this act, make the act wait, or reduce the keyframes until the device needs only {}",
+            "start `{device}` {lacking} later in this act, make the act wait, or remove keyframes until the device needs only {}",
             counted(refill.script, "script")
         ),
     };
     match queue {
-        Some(queue) => format!("{pause}; a script_queue of {queue} would be enough"),
+        Some(queue) => format!("{pause}; a `script_queue` of {queue} would be enough"),
         None => pause,
     }
 }
@@ -266,6 +266,6 @@ mod tests {
             finding.message.contains("script 2 of `act 1`: `d` of `r` can hold 2 scripts"),
             "{finding:?}"
         );
-        assert!(hint.contains("start `d` 100 ms later") && hint.contains("script_queue of 3"), "{hint}");
+        assert!(hint.contains("start `d` 100 ms later") && hint.contains("`script_queue` of 3"), "{hint}");
     }
 }

@@ -21,6 +21,6 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, choreography: &C
         closest.distance,
         told(closest.at)
     );
-    let hint = Some("move one of them later or elsewhere, or require less".to_owned());
+    let hint = Some("move one of them later or elsewhere, or require a smaller distance".to_owned());
     findings.add(Code::Unmet, place.clone(), message, format!("{} {} m", floor.word(), floor.bound()), hint);
 }

@@ -13,7 +13,6 @@ use crate::ensemble::{self, Action};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, SharedFault, robots_named};
 use crate::plan::{DeviceUse, Requirements, RobotPlan};
-use crate::render::counted;
 use crate::scenario::Act;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
@@ -27,12 +26,12 @@ const ROUNDING: f64 = 1e-9;
 
 /// Expectation and hint of a finding about bodies that are driven by speeds (`DRIVEN`) and about all others (`PLACED`).
 const DRIVEN: (&str, &str) = (
-    "speeds of all devices in `drive`, and previous acts that leave them at 0",
-    "end every act that leads here with all speeds of the drive at 0, and drive these devices only by speed",
+    "a speed for each device in `drive`, and previous acts that end with these speeds at 0",
+    "end every act that leads here with all speeds of the drive at 0, and control these devices only by speed",
 );
 const PLACED: (&str, &str) = (
-    "positions of all devices in `body`",
-    "add keyframes at the beginning or a `default_value`, or drive them by position",
+    "a known position for each device in `body`",
+    "add keyframes at the beginning, add a `default_value`, or control these devices by position",
 );
 
 /// An act with the scripts of its robots and the positions at its start.
@@ -175,7 +174,7 @@ impl<'a> Cues<'a> {
     fn line(&self, robot: &str, cue: Option<usize>) -> (Place, String) {
         let what = match cue {
             Some(cue) => format!("`{robot}` in the cue `{}`", self.act.cues[cue].name),
-            None => format!("`{robot}` is there from the beginning"),
+            None => format!("`{robot}` is already there when the act starts"),
         };
         (self.place(cue), what)
     }
@@ -195,7 +194,7 @@ fn rates(
     peaks: [Option<Peak>; 2],
 ) -> BodyUse {
     let limits =
-        [(body.speed, "moves|move at", "m/s"), (body.acceleration, "accelerates|accelerate by", "m/s²")];
+        [(body.speed, "moves|move at", "m/s"), (body.acceleration, "accelerates|accelerate at", "m/s²")];
     for (peak, (limit, moves, unit)) in peaks.into_iter().zip(limits) {
         let (Some(Peak { from, to, rate }), Some(limit)) = (peak, limit) else { continue };
         if rate <= limit * DUST {
@@ -237,7 +236,7 @@ fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Opt
         let until =
             from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
         let message = format!(
-            "{} {are} at an unknown position {until}, so nothing is checked during this time",
+            "{} {are} at an unknown position {until}, so collisions and allowed spaces are not checked during this time",
             robots_named(robots.into_iter())
         );
         let (expected, hint) = if driven { DRIVEN } else { PLACED };
@@ -371,18 +370,21 @@ impl TooClose {
         };
         let more = match self.pairs {
             1 => String::new(),
-            pairs => format!("; {} more come too close in the same cues", counted(pairs - 1, "pair")),
+            2 => "; 1 more pair comes too close in the same cues".to_owned(),
+            pairs => format!("; {} more pairs come too close in the same cues", pairs - 1),
         };
-        let message = format!("`{a}` and `{b}` {what} at {}, {expected} is required{more}", told(at));
+        let message = format!("`{a}` and `{b}` {what} at {}, but {expected} is required{more}", told(at));
         let mut lines = vec![cues.line(a, self.cues[0]), cues.line(b, self.cues[1])];
         if self.cues[0] == self.cues[1] {
             lines.truncate(1);
             lines[0].1 = match self.cues[0] {
                 Some(cue) => format!("both in the cue `{}`", stage.act.cues[cue].name),
-                None => "both are there from the beginning".to_owned(),
+                None => "both are already there when the act starts".to_owned(),
             };
         }
-        let hint = "move one of them later or elsewhere, or reduce `distance` of `space`".to_owned();
+        let hint =
+            "move one of them later or elsewhere, or reduce `distance` under `space` in the fleet file"
+                .to_owned();
         findings.add_related(Code::TooClose, lines, message, expected, Some(hint));
     }
 }

@@ -131,7 +131,7 @@ fn out_of_range(
         }
         Some((parameter, _)) => {
             let most = if value > limits.max_value { "at most" } else { "at least" };
-            format!("`{parameter}` leads to {value}: use a value that leads to {most} {nearest}")
+            format!("`{parameter}` results in {value}: use a value that results in {most} {nearest}")
         }
         None => in_radians(on, knot.to, limits)
             .unwrap_or_else(|| format!("the nearest possible value is {nearest}")),
@@ -175,7 +175,7 @@ fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits
                 if most.is_finite() { most } else { f64::INFINITY }
             };
             let factor = rounded_down(values().map(most).fold(f64::INFINITY, f64::min));
-            (changed.factor > 0.0 && factor > 0.0).then(|| format!("a factor of at most {factor} fits"))
+            (changed.factor > 0.0 && factor > 0.0).then(|| format!("use a factor of at most {factor}"))
         }
         Change::Mirror => {
             let (least, most) =
@@ -201,7 +201,7 @@ fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> 
     let unit = on.device.unit.as_ref()?.to_string();
     let radians = limits.nearest(value.to_radians());
     let fits = matches!(unit.as_str(), "rad" | "radian" | "radians") && limits.contains(radians);
-    fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {}", on.device.id, tidy(radians)))
+    fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {} rad", on.device.id, tidy(radians)))
 }
 
 /// A value, with the nearest value on the device's grid.
@@ -245,7 +245,7 @@ impl Moved {
             place: value_place(on.track, self.item),
             size: self.off(),
             said: format!(
-                "{}{from} is rounded to {to}, off by {off}{others}, for ",
+                "{}{from} is rounded to {to}, an error of {off}{others}, for ",
                 named(on.track, self.item)
             ),
             expected: format!("a multiple of {}", self.granularity),
@@ -289,7 +289,7 @@ impl OffGrid {
         let Some(furthest) = self.furthest else { return };
         let others = match self.count {
             1 => String::new(),
-            count => format!(", the largest error of {count} values off the grid"),
+            count => format!(", the largest of {count} such errors"),
         };
         on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
     }
@@ -374,9 +374,9 @@ fn reaches(
     );
     let place = way_place(on.track, knot.item);
     let hint = match (on.cue.group.is_some(), knot.item) {
-        (true, _) => "make it smaller, or start the group elsewhere".to_owned(),
+        (true, _) => "make the movement smaller, or start the group elsewhere".to_owned(),
         (false, u32::MAX) => fitting(curve, limits),
-        (false, _) => "make it smaller, for example with `scale`".to_owned(),
+        (false, _) => "make the movement smaller, for example with `scale`".to_owned(),
     };
     let fault =
         Fault { code: Code::OutOfRange, place, size: by, said, expected: between(limits), hint: Some(hint) };
@@ -395,14 +395,14 @@ fn fitting(curve: &Curve, limits: &Limits) -> String {
     if span > room {
         let part = rounded_down(room / span);
         return format!(
-            "its values span {}, but the limits span only {room}: scale it by {part}",
+            "the values span {}, but the limits span only {room}: scale the movement by {part}",
             figure(span)
         );
     }
     if limits.min_value > least {
-        format!("move it up by {}", figure(limits.min_value - least))
+        format!("increase all values by {}", figure(limits.min_value - least))
     } else {
-        format!("move it down by {}", figure(most - limits.max_value))
+        format!("decrease all values by {}", figure(most - limits.max_value))
     }
 }
 

@@ -61,12 +61,12 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
     let hint = match fixes.as_slice() {
         [] => "no single change is enough: there are other contradictions".to_owned(),
         [only] => only.clone(),
-        several => format!("any one of: {}", several.join("; ")),
+        several => format!("make one of these changes: {}", several.join("; ")),
     };
     Pending {
         code: Code::Conflict,
         place,
-        message: format!("these times contradict each other: {} too tight", told(conflict.excess)),
+        message: format!("these times contradict each other by {}", told(conflict.excess)),
         expected: "times without contradictions".to_owned(),
         hint: Some(hint),
         related,
@@ -129,8 +129,8 @@ fn circle(
         code: Code::Conflict,
         place,
         message,
-        expected: "a cue that waits for none of the others".to_owned(),
-        hint: Some(format!("leave out one of: {}", out.join("; "))),
+        expected: "a cue that does not wait for any of the others".to_owned(),
+        hint: Some(format!("remove one of these: {}", out.join("; "))),
         related,
         affected: None,
         hint_in_block: None,
@@ -168,8 +168,8 @@ impl Teller<'_> {
     fn says(&self, origin: &Origin, link: &Link) -> String {
         let span = told(link.span);
         match (origin, link.bound) {
-            (Origin::Length { cue, .. }, Bound::Min) => format!("{} lasts {span} or more", self.name(*cue)),
-            (Origin::Length { cue, .. }, Bound::Max) => format!("{} lasts {span} at most", self.name(*cue)),
+            (Origin::Length { cue, .. }, Bound::Min) => format!("{} lasts at least {span}", self.name(*cue)),
+            (Origin::Length { cue, .. }, Bound::Max) => format!("{} lasts at most {span}", self.name(*cue)),
             (Origin::Limit { cue, robot, device, .. }, _) => format!(
                 "{} lasts at least {span}, because `{device}` of `{robot}` cannot move faster",
                 self.name(*cue)
@@ -179,7 +179,7 @@ impl Teller<'_> {
                     Some(zone) => format!("zone `{zone}`"),
                     None => "kept apart".to_owned(),
                 };
-                let order = if *auto { "the order found" } else { "order given" };
+                let order = if *auto { "order found automatically" } else { "order given in the file" };
                 format!(
                     "{} starts after {} has ended ({why}, {order})",
                     self.name(*second),
@@ -206,7 +206,7 @@ impl Teller<'_> {
             (true, _, true) => format!("{to} when {from}"),
             (true, _, false) => format!("{to} {span} after {from}"),
             (false, Bound::Min, true) => format!("{} before {from}", negated(&to)),
-            (false, Bound::Min, false) => format!("{to} {span} or more after {from}"),
+            (false, Bound::Min, false) => format!("{to} at least {span} after {from}"),
             (false, Bound::Max, _) => format!("{to} at most {span} after {from}"),
         }
     }

@@ -101,7 +101,7 @@ fn taken(
     let all = segments.iter().map(size).fold(0, usize::saturating_add);
     let (told, sound) = (room.is_overdrawn(), room.take(all));
     if let (false, false, Some(first)) = (sound, told, segments.values().flatten().next()) {
-        let message = format!("with the {all} steps of this act, the scenario has too many steps");
+        let message = format!("the scenario has too many steps: this act adds {all}");
         let hint = Some("split the scenario into several scenarios".to_owned());
         let expected = format!("at most {}", room.most());
         findings.add(Code::TooMuch, first.part.place.clone(), message, expected, hint);
@@ -190,7 +190,7 @@ impl Lane<'_> {
             && lease.is_none()
         {
             let end = format!(
-                " is left at {} {value} at the end, and no stop_condition ends it",
+                " is left at {} {value} at the end, and no `stop_condition` stops it",
                 last.part.control_type
             );
             findings.add_shared(SharedFault {
@@ -201,7 +201,7 @@ impl Lane<'_> {
                 robots: [self.robot.clone()].into(),
                 place: last.part.place.clone(),
                 message: [format!("`{}` of ", self.device.id), end],
-                expected: format!("a last value of {resting}"),
+                expected: format!("a final value of {resting}"),
                 hint: Some(format!("end with {resting}, or give the cue a `stop_condition`")),
             });
         }
@@ -363,7 +363,7 @@ impl Lane<'_> {
         let over = steps - most * queue as usize;
         let longest = self.segments.iter().max_by_key(|segment| segment.part.steps.len());
         let less = match longest.map(|segment| (segment.part.excess, &segment.cue)) {
-            Some((Excess::Turns, cue)) => format!("reduce the repetitions in `{cue}`"),
+            Some((Excess::Turns, cue)) => format!("reduce the number of repetitions in `{cue}`"),
             Some((Excess::Eases, _)) => "use `ease: linear`".to_owned(),
             Some((Excess::Curve, _)) => {
                 format!("use {over} fewer {}", if over == 1 { "step" } else { "steps" })
@@ -381,7 +381,7 @@ impl Lane<'_> {
                 Code::QueueTooShort,
                 [format!("`{device}` of "), format!(" needs {count} scripts for its {steps} steps")],
                 format!(
-                    "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts that leave at least {REFILL} to send the next one"
+                    "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts long enough to leave {REFILL} for sending the next one"
                 ),
             ),
         };

@@ -92,8 +92,8 @@ impl Mover<'_> {
             (_, None) => "move it there in an earlier cue".to_owned(),
         };
         let expected = match items {
-            Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
-            _ => format!("a movement that begins at {from}"),
+            Items::Keyframes => format!("a first keyframe with the value {from}, or a time later than 0s"),
+            _ => format!("a movement that starts at {from}"),
         };
         let end = format!(" has to jump from {from}, {whence}, to {to} at {at}");
         findings.add_shared(SharedFault {
@@ -127,7 +127,7 @@ impl Mover<'_> {
             return factor;
         }
         let end = format!(
-            " has {} to move from {from} to its first keyframe, {}: this needs a speed of {needed:.4}",
+            " has only {} to move from {from} to its first keyframe, {}: this requires a speed of {needed:.4}",
             first.at, first.to
         );
         findings.add_shared(SharedFault {
@@ -270,10 +270,10 @@ pub(super) fn check_entries(
             }
             for place in &places[act] {
                 let whence = match place.left_by {
-                    LeftBy::Beginning => "where it is when the act begins".to_owned(),
-                    LeftBy::Act(by) => format!("where act `{}` leaves it", acts[by].name),
+                    LeftBy::Beginning => "where it is when the act starts".to_owned(),
+                    LeftBy::Act(by) => format!("where the act `{}` leaves it", acts[by].name),
                     LeftBy::Failure(of) => {
-                        format!("its default state after a failure of act `{}`", acts[of].name)
+                        format!("its default state after a failure of the act `{}`", acts[of].name)
                     }
                 };
                 let is_sure = place.left_by != LeftBy::Beginning;

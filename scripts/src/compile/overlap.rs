@@ -28,7 +28,7 @@ pub(super) fn of_segments(
         let (at, other_cue) = (told(segment.start()), &before.cue);
         let message = [
             format!("`{}` sets `{}` of ", segment.cue, device.id),
-            format!(" to {value} at {at}, and `{other_cue}` sets it to {other} at the same instant"),
+            format!(" to {value} at {at}, and `{other_cue}` sets it to {other} at the same time"),
         ];
         SharedFault {
             code: Code::Overlap,
@@ -60,7 +60,7 @@ pub(super) fn overlap(
     let (expected, hint) = if cue == before {
         (
             "one movement of a device at a time".to_owned(),
-            format!("remove one of the two movements, or put one of them into a cue after `{cue}`"),
+            format!("remove one of the two movements, or move one of them to a cue after `{cue}`"),
         )
     } else {
         (

@@ -252,7 +252,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         if !sound && !told {
             let most = self.uses.most();
             let message = format!(
-                "with the cue `{}` an act moves devices more than {most} times",
+                "with the cue `{}`, the act moves devices more than {most} times",
                 shortened(&cue.name)
             );
             let hint = Some("split the act or the scenario into several".to_owned());
@@ -347,7 +347,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         } else if let Some(needed) = fitted.needed.filter(|_| sound) {
             let needed = self.enough(actuator, played, thinned, needed);
             let device = on.device.id.to_string();
-            let grid = format!("no steps on the grid of {} of `{device}` on ", actuator.control_type);
+            let grid = format!("the {} grid of `{device}` on ", actuator.control_type);
             self.findings.add_shared(SharedFault {
                 code: Code::ToleranceTooTight,
                 cause: format!("{:?} {device} {tolerance}", on.track.place),
@@ -355,7 +355,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 device,
                 robots: on.ids(),
                 place: on.track.place.clone(),
-                message: [grid, format!(" stay within {tolerance} of the movement")],
+                message: [grid, format!(" is too coarse to follow the movement within {tolerance}")],
                 expected: format!("a tolerance of {needed} or more"),
                 hint: Some(format!("add `tolerance: {needed}` to the track, if this error is acceptable")),
             });
@@ -394,7 +394,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         let (place, capacity) = (on.track.place.clone(), capacity(on.device));
         if steps > capacity.max(TOLD_MAX) {
             let message = format!(
-                "the movement of `{}` on {} takes more than {} steps",
+                "the movement of `{}` on {} needs more than {} steps",
                 on.device.id,
                 on.cast.names(on.robots),
                 steps - 1
@@ -407,7 +407,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         let sound = self.steps.take(size);
         if !sound {
             let most = self.steps.most();
-            let message = format!("with this movement an act has more than {most} steps");
+            let message = format!("with this movement, the act has more than {most} steps");
             let hint = Some("split the scenario into several scenarios".to_owned());
             self.findings.add(Code::TooMuch, place, message, format!("at most {most}"), hint);
         }
@@ -436,10 +436,10 @@ impl<'c, 'a> Performer<'c, 'a> {
             return;
         }
         let worst = rounded_up(worst);
-        let message = format!("with {most} steps the movement is off by {worst} at {worst_at}");
+        let message = format!("with {most} steps, the movement is off by {worst} at {worst_at}");
         let whose = match on.track.tolerance {
             Some(_) => "the track's `tolerance`".to_owned(),
-            None => format!("max_error of `{}`", on.device.id),
+            None => format!("`max_error` of `{}`", on.device.id),
         };
         let expected = format!("at most {allowed} ({whose})");
         let hint = Some(match on.track.tolerance {
@@ -487,14 +487,14 @@ impl<'c, 'a> Performer<'c, 'a> {
                 ),
             ),
             (true, Some(_)) => (
-                "a device with `position`, `speed` or `acceleration` next to `script`".to_owned(),
+                "a device with `position`, `speed` or `acceleration` in addition to `script`".to_owned(),
                 Some(
-                    "add to its `available_control_types` the one that its scripts set, such as `position`"
+                    "add the control type that its scripts set, such as `position`, to its `available_control_types`"
                         .to_owned(),
                 ),
             ),
             (false, _) => (
-                format!("a device that supports scripts of {named}"),
+                format!("a control type that its scripts support: {named}"),
                 several.then(|| "write one number in each keyframe, as in `to: 45`".to_owned()),
             ),
         };

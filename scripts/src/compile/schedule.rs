@@ -248,7 +248,7 @@ impl<'a> Timetable<'a> {
             let cue = self.cue(findings, &name)?;
             if cue == index {
                 let message = format!("`{}` cannot follow or precede itself", shortened(&name.text));
-                let hint = Some("name another cue, or a time with `at`".to_owned());
+                let hint = Some("name another cue, or set a time with `at`".to_owned());
                 findings.add(Code::Conflict, name.place, message, "another cue", hint);
                 return None;
             }
@@ -371,9 +371,9 @@ impl<'a> Timetable<'a> {
         let late = ends.enumerate().filter(|(_, end)| *end > horizon).min_by_key(|(_, end)| *end);
         let Some((index, end)) = late else { return true };
         let (cue, start) = (&self.act.cues[index], schedule.time(self.events[index].0));
-        let message = format!("the cue `{}` begins at {start} and ends at {end}", shortened(&cue.name));
+        let message = format!("the cue `{}` starts at {start} and ends at {end}", shortened(&cue.name));
         let hint = if start > horizon {
-            "begin it earlier: shorten the cues and pauses before it"
+            "start it earlier: shorten the cues and pauses before it"
         } else {
             "shorten it: reduce `duration`, `repeat`, `canon` or `delay`"
         };
@@ -396,7 +396,7 @@ impl<'a> Timetable<'a> {
         }
         let limit = Span::from_nanos(i64::MAX / 4);
         if self.network.total() > limit {
-            let message = "the times of this act add up to more than the search for an order supports";
+            let message = "the times of this act add up to more than the automatic ordering supports";
             let hint = Some("shorten its cues, or keep the order of the file with `order: given`".to_owned());
             let place = self.act.cues[auto[0].cues[0]].place.clone();
             findings.add(Code::TooMuch, place, message, format!("at most {limit}"), hint);
@@ -412,23 +412,31 @@ impl<'a> Timetable<'a> {
             Ordering::Found(found) => found.sequences,
             failed => {
                 let zones = names(auto.iter().filter_map(|zone| zone.zone.as_deref()));
+                let has_zones = auto.iter().any(|zone| zone.zone.is_some());
+                let cues = match (has_zones, auto.iter().any(|zone| zone.zone.is_none())) {
+                    (true, true) => format!("that use {zones} or are kept `apart`"),
+                    (true, false) => format!("that use {zones}"),
+                    (false, _) => "that are kept `apart`".to_owned(),
+                };
                 let proven = matches!(failed, Ordering::Infeasible(_));
                 let message = if proven {
-                    format!("no order of the cues of {zones} satisfies all their times")
+                    format!("no order satisfies all time limits of the cues {cues}")
                 } else {
-                    format!("found no order of the cues of {zones} that satisfies all their times")
+                    format!("found no order that satisfies all time limits of the cues {cues}")
                 };
-                let hint = if proven {
-                    "allow more time, or remove a cue from the zone"
-                } else {
-                    "the search may have missed one: allow more time, or order some cues with `after`"
+                let hint = match (proven, has_zones) {
+                    (true, true) => "allow more time, or remove a cue from the zone",
+                    (true, false) => "allow more time, or remove a cue from `apart`",
+                    (false, _) => {
+                        "the search may have missed a valid order: allow more time, or order some cues with `after`"
+                    }
                 };
                 let place = self.act.cues[auto[0].cues[0]].place.clone();
                 findings.add(
                     Code::NoOrder,
                     place,
                     message,
-                    "an order within all deadlines",
+                    "an order that meets all deadlines",
                     Some(hint.to_owned()),
                 );
                 return None;

@@ -76,7 +76,7 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
     let why = if differ(places[0][2]) {
         format!("the places of `{}` differ in height", shortened(name))
     } else {
-        format!("the places of `{}` are at another height", shortened(name))
+        format!("the places of `{}` are at a different height", shortened(name))
     };
     Err(Fault::Flat { dancer, why })
 }

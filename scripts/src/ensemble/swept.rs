@@ -122,14 +122,14 @@ fn left_behind(
 ) -> Option<(usize, &'static str)> {
     let mut flat = (0..dancers.len()).filter(|dancer| dancers[*dancer].is_flat());
     if sweep.shift[2] != 0.0 {
-        return Some((flat.next()?, "the group is shifted in height"));
+        return Some((flat.next()?, "the group is shifted vertically"));
     }
     if carrier.is_some_and(Carrier::climbs) {
         return Some((flat.next()?, "the path leads up or down"));
     }
     let grows = sweep.grow != 1.0 && dancers.iter().any(|dancer| !dancer.is_flat());
     let off = flat.find(|dancer| grows && (dancers[*dancer].from[2] - middle).abs() > LEVEL)?;
-    Some((off, "the group also grows in height"))
+    Some((off, "the group also grows vertically"))
 }
 
 /// Returns the shortest duration of a movement within the limits, in seconds. The slope and the curvature are the largest speed and

@@ -159,7 +159,7 @@ pub(super) fn read(
         (Some(_), Some(acts)) => {
             let hint = Some("move the cues into a separate act".to_owned());
             let message = "`cues` and `acts` cannot be combined";
-            reader.add(Code::UnknownKey, acts.key_place(), message, "one of the two", hint);
+            reader.add(Code::UnknownKey, acts.key_place(), message, "either `cues` or `acts`", hint);
             Vec::new()
         }
         (None, None) => {
@@ -171,7 +171,7 @@ pub(super) fn read(
                     Code::MissingKey,
                     root.place(),
                     message,
-                    "a key `cues`, or `acts`",
+                    "a key `cues` or `acts`",
                     Some(hint.into()),
                 );
             }
@@ -269,7 +269,7 @@ pub(super) fn without_cue(
         [] => return None,
     };
     let shown: Vec<String> = cue.iter().map(|(key, node)| format!("{key}: {}", briefly(node))).collect();
-    let hint = Some(format!("write an entry of `cues`: `cues: [{{{}}}]`", shown.join(", ")));
+    let hint = Some(format!("write it as an entry of `cues`: `cues: [{{{}}}]`", shown.join(", ")));
     let place = at.entry(first, 0, node).key_place();
     reader.add(Code::UnknownKey, place, message, "a cue", hint);
     Some(Node::Map(own.into_iter().cloned().collect()))
@@ -286,10 +286,10 @@ fn briefly(node: &Node) -> String {
 
 /// Reads zones and the order of their cues, such as `[table, lift]` or `{table: auto, lift: given}`.
 fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)> {
-    let expected = "a list of zones, or a map from zone to its order";
+    let expected = "a list of zones, or a map from each zone to its order";
     match at.node {
         Node::Map(_) => {
-            let entries = reader.entries(at, "zone to its order");
+            let entries = reader.entries(at, "a map from each zone to its order");
             let zone =
                 |(name, at): &(&str, At<'_>)| ((*name).to_owned(), reader.word(at, &ORDER).unwrap_or(order));
             entries.iter().map(zone).collect()
@@ -313,7 +313,7 @@ pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
         return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
     };
     let mut rule = OnFailureRule::default();
-    for (key, at) in reader.entries(at, "robot, `default` or `then` to its action") {
+    for (key, at) in reader.entries(at, "a map from each robot, `default` or `then` to its action") {
         match key {
             "default" => rule.default = reader.word(&at, &ON_FAILURE),
             "then" => {
@@ -332,7 +332,7 @@ pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
 /// Returns a hint for an unknown wait condition of an act.
 fn wait_hint(text: &str) -> Option<String> {
     if parse_duration(text).is_some() {
-        return Some(format!("to begin later, add `at: {text}` to the first cue of the act"));
+        return Some(format!("to start later, add `at: {text}` to the first cue of the act"));
     }
     if parse_time(text).is_some() {
         return Some(format!("write `wait: {{time: \"{text}\"}}`"));
@@ -342,7 +342,7 @@ fn wait_hint(text: &str) -> Option<String> {
         "trigger", "hotkey", "input",
     ]
     .contains(&text.to_lowercase().as_str());
-    operator.then(|| "write `operator`: the act begins when the operator runs `downbeat go`".to_owned())
+    operator.then(|| "write `operator`: the act starts when the operator runs `downbeat go`".to_owned())
 }
 
 fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
@@ -358,7 +358,13 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
         _ if reader.is_miswritten(at, "for") => None,
         _ => {
             let message = "found none or several of `for`, `time` and `sensor`";
-            reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
+            reader.add(
+                Code::MissingKey,
+                at.place(),
+                message,
+                "exactly one of `for`, `time` and `sensor`",
+                None,
+            );
             None
         }
     };
@@ -384,7 +390,7 @@ fn sensor_wait(
     let text = reader.text(sensor, expected)?;
     let named = text.split_once('/').map(|(robot, sensor)| (robot.to_owned(), sensor.to_owned()));
     if named.is_none() {
-        let message = format!("`{}` is not a robot and a sensor", shortened(&text));
+        let message = format!("`{}` does not name a robot and a sensor", shortened(&text));
         let hint = Some(match text.split_once('.') {
             Some((robot, sensor)) => format!("write a slash: `{}/{}`", shortened(robot), shortened(sensor)),
             None => format!("write the robot and a slash before it: `ROBOT/{}`", shortened(&text)),

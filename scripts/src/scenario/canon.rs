@@ -136,9 +136,9 @@ fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
             let second = travelled(reader, &speed);
             let across = across?;
             if !matches!(across.by, By::Axis(_) | By::Point(_)) {
-                let message = "the `speed` of a canon needs an order by position";
+                let message = "a canon with `speed` requires robots that are ordered by position";
                 let hint = Some("add `by: x`, or use a `step`".to_owned());
-                let expected = "`by: x`, `y`, `z` or a point";
+                let expected = "x, y, z or a point under `by`";
                 reader.add(Code::MissingKey, speed.key_place(), message, expected, hint);
                 return None;
             }
@@ -151,7 +151,13 @@ fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
         }
         _ => {
             let message = "found none or several of `step`, `speed` and `over`";
-            reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
+            reader.add(
+                Code::MissingKey,
+                at.place(),
+                message,
+                "exactly one of `step`, `speed` and `over`",
+                None,
+            );
             return None;
         }
     };

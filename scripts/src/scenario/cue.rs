@@ -148,7 +148,7 @@ pub(super) fn read(
                     "a cue with neither robots nor tracks is a marker that other cues can refer to".to_owned()
                 }
                 _ => {
-                    "add what its robots do: `tracks`, a `move`, or `form`, `turn`, `grow`, `shift`, `along`"
+                    "define what its robots do: add `tracks`, `move`, `form`, `turn`, `grow`, `shift` or `along`"
                         .to_owned()
                 }
             });
@@ -186,7 +186,8 @@ pub(super) fn read(
     if let Some(group) = &mut group {
         library.form_name(reader, group);
     }
-    let entries = keys.overrides.as_ref().map(|at| reader.entries(at, "robot to its override"));
+    let entries =
+        keys.overrides.as_ref().map(|at| reader.entries(at, "a map from each robot to its override"));
     let entries = entries.unwrap_or_default();
     let mut overriding = read_overrides(reader, &shaping, &entries);
     overriding.iter_mut().for_each(|overriding| library.cast_name(reader, &mut overriding.name));
@@ -209,8 +210,8 @@ pub(super) fn read(
         own: read.own,
         own_of: read.own_of,
         canon: canon::read(reader, keys.canon.as_ref()).delayed(late),
-        uses: keys.uses.map(|at| name_list(reader, &at, "a zone, or a list of them")).unwrap_or_default(),
-        apart: keys.apart.map(|at| name_list(reader, &at, "a cue, or a list of them")).unwrap_or_default(),
+        uses: keys.uses.map(|at| name_list(reader, &at, "a zone or a list of zones")).unwrap_or_default(),
+        apart: keys.apart.map(|at| name_list(reader, &at, "a cue or a list of cues")).unwrap_or_default(),
         stop_condition: keys.stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
         off_grid: keys.off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
         readings: keys.read.map(|at| read_readings(reader, &at)).unwrap_or_default(),
@@ -234,7 +235,7 @@ fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
         _ => reader.duration(at).map(|fixed| (fixed, Some(fixed)))?,
     };
     if max == Some(Span::ZERO) {
-        let hint = Some("leave it out to keep the length of the movement".to_owned());
+        let hint = Some("leave `duration` out to keep the length of the movement".to_owned());
         reader.add(Code::BadMotion, at.place(), "a movement of length 0", "a time above 0", hint);
         return None;
     }
@@ -242,9 +243,9 @@ fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
 }
 
 pub(super) fn robot_names(reader: &mut Reader, at: &At<'_>) -> Vec<Name> {
-    let expected = "a robot, a group or a list of them";
+    let expected = "a robot, a group or a list of robots and groups";
     if matches!(at.node, Node::List(items) if items.is_empty()) {
-        nothing(reader, at, "the cue has no robots", expected);
+        nothing(reader, at, "the list of robots is empty", expected);
     }
     name_list(reader, at, expected)
 }
@@ -278,7 +279,7 @@ pub(super) fn lease(reader: &mut Reader, at: &At<'_>, default: StopCondition) ->
 
 fn read_readings(reader: &mut Reader, at: &At<'_>) -> Vec<Reading> {
     let mut readings = Vec::new();
-    for (sensor, at) in reader.entries(at, "sensor to the times at which it is read") {
+    for (sensor, at) in reader.entries(at, "a map from each sensor to the times at which it is read") {
         let times = match at.node {
             Node::List(_) => reader.list(&at, "a list of times"),
             _ => vec![at],

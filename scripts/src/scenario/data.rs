@@ -95,7 +95,7 @@ impl Table<'_, '_> {
                 return Some((index - 1, headed));
             }
         }
-        let expected = "the name of a column, or its number from 1";
+        let expected = "the name of a column, or its number, counted from 1";
         let name = self.reader.name(at, expected)?;
         let found = header.iter().position(|cell| *cell == name);
         if found.is_none() {

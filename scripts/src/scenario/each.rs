@@ -44,7 +44,7 @@ impl<'a> Roster<'a> {
             false if self.fleet.groups.contains_key(name) => "group",
             false => return,
         };
-        let message = format!("the role `{}` has the name of a {whose}", shortened(name));
+        let message = format!("the role `{}` has the same name as a {whose}", shortened(name));
         let hint = Some("rename the role here and in the cues that use it".to_owned());
         reader.add(Code::NameClash, at.key_place(), message, "a unique name", hint);
     }

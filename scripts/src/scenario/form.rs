@@ -83,7 +83,7 @@ pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Opt
         reader.add(
             Code::MissingKey,
             over.key_place(),
-            "`over` needs a movement of a group to set the duration of",
+            "`over` has no effect without a movement of the group",
             expected,
             hint,
         );
@@ -91,7 +91,7 @@ pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Opt
     };
     if let Some(at) = keys.duration {
         let (message, hint) = match keys.over {
-            Some(_) => ("`duration` and `over` cannot be combined", "remove it"),
+            Some(_) => ("`duration` and `over` cannot be combined", "remove `duration`"),
             None => ("`duration` is not supported for the movement of a group", "write `over` instead"),
         };
         let expected = "only `over`, which sets the duration of the cue";
@@ -121,9 +121,15 @@ pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Opt
     let action = match keys.form {
         Some(form) => {
             for other in sweeps.iter().flatten() {
-                let hint = Some("write the other one as a separate cue".to_owned());
+                let hint = Some("put the other movement into a separate cue".to_owned());
                 let message = "`form` cannot be combined with another movement of the group";
-                reader.add(Code::UnknownKey, other.key_place(), message, "one of the two", hint);
+                reader.add(
+                    Code::UnknownKey,
+                    other.key_place(),
+                    message,
+                    "either `form` or the other movement",
+                    hint,
+                );
             }
             read_form(reader, &form).map(Action::Form)
         }
@@ -211,7 +217,7 @@ fn read_sweep(reader: &mut Reader, keys: &CueKeys<'_>) -> Option<Sweep> {
     if along.as_ref().is_some_and(|along| along.follow) {
         for other in others {
             let message = "`follow` cannot be combined with `turn`, `grow` or `shift`";
-            let hint = Some("write the other one as a separate cue".to_owned());
+            let hint = Some("put the other movement into a separate cue".to_owned());
             reader.add(Code::UnknownKey, other.key_place(), message, "`along` alone", hint);
         }
     }
@@ -234,7 +240,7 @@ fn read_along(reader: &mut Reader, at: &At<'_>) -> Option<Course> {
     if let (true, true, Some(at)) = (is_turning, follows, turning) {
         let message =
             "`follow` and `turning` cannot be combined: robots that follow each other have no common centre";
-        reader.add(Code::UnknownKey, at.key_place(), message, "`follow` or `turning`", None);
+        reader.add(Code::UnknownKey, at.key_place(), message, "either `follow` or `turning`", None);
     }
     let path = path?;
     let name = reader.name(&path, EXPECTED)?;

@@ -299,7 +299,7 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 /// Reads the keys of a V, such as `{spacing: 1, angle: 60}`.
 fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let VeeKeys { spacing, angle } = reader.keys(at, "`v`")?;
-    let expected = "an angle between the arms above 0 and below 180 degrees";
+    let expected = "an angle of more than 0 and less than 180 degrees between the arms";
     let angle = angle.map_or(Some(VEE_ANGLE), |at| {
         let angle = reader.degrees(&at, expected)?;
         if angle > 0.0 && angle < 180.0 {
@@ -423,7 +423,7 @@ fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>
     let size = length(reader, at)?;
     if scale.is_some() {
         let message = "`size` and `scale` cannot be combined";
-        reader.add(Code::UnknownKey, at.key_place(), message, "one of them", None);
+        reader.add(Code::UnknownKey, at.key_place(), message, "either `size` or `scale`", None);
         return None;
     }
     match shaped.longest {
@@ -433,7 +433,7 @@ fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>
                 Code::WrongType,
                 at.place(),
                 "all places are at the same point",
-                "`size` only for a shape with an extent",
+                "`size` only for a shape that is larger than a point",
                 None,
             );
             None
@@ -465,7 +465,7 @@ fn unsized_factor(
         Some(unit) => Some(unit * factor),
         None if scaled => Some(factor),
         None => {
-            let hint = Some("add `size: 3` for a longest side of 3 m".to_owned());
+            let hint = Some("add `size: 3` to make the longest side 3 m".to_owned());
             reader.add(
                 Code::MissingKey,
                 at.place(),
@@ -483,7 +483,7 @@ fn one_of_two(reader: &mut Reader, at: &At<'_>, what: &str, keys: [&str; 2]) -> 
         return None;
     }
     let expected = format!("either `{}` or `{}`", keys[0], keys[1]);
-    let hint = Some("lengths are in metres".to_owned());
+    let hint = Some("add one of them, in metres".to_owned());
     reader.add(Code::MissingKey, at.place(), format!("{what} has no size"), expected, hint);
     None
 }

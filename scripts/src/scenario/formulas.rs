@@ -25,7 +25,7 @@ pub(super) fn moved(
     let formula = reader.formula(formula_at);
     let Some(length) = length else {
         let hint = Some("add the duration, as in `for: 8s`".to_owned());
-        reader.add(Code::MissingKey, at.place(), "a formula has no `for`", "a key `for`", hint);
+        reader.add(Code::MissingKey, at.place(), "the formula has no `for`", "a key `for`", hint);
         return None;
     };
     let exact = positive_time(reader, &length)?;
@@ -51,7 +51,7 @@ pub(super) fn moved(
                     "use `if` to avoid a division by zero or the root of a negative number"
                 }
                 Trouble::TooMany if formula.is_random() => {
-                    "keep each number of `random` for some time: `random(7, floor(t / 2s))`"
+                    "keep each random number for some time, as in `random(7, floor(t / 2s))`"
                 }
                 Trouble::TooMany => "use a shorter duration and `repeat` it",
             };

@@ -79,11 +79,11 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
         let IncludeKeys { file, r#as: name, .. } = keys;
         file.and_then(|at| reader.text(&at, "the path of a file").map(drop));
         if let Some(at) = name
-            && let Some(name) = reader.name(&at, "the name of this copy")
+            && let Some(name) = reader.name(&at, "a name for this include")
             && name.contains('.')
         {
             let message = format!("`{}` contains a dot", shortened(&name));
-            let expected = "a name without a dot: a dot separates it from the names of this copy";
+            let expected = "a name without a dot: the dot separates it from the names in the included file";
             reader.add(Code::WrongType, at.place(), message, expected, None);
         }
     }
@@ -135,7 +135,7 @@ fn copies_in<'a>(
         if own.is_none() && given.is_none() {
             return;
         }
-        let own = own.and_then(|node| reader.name(&item.entry("as", 0, node), "the name of this copy"));
+        let own = own.and_then(|node| reader.name(&item.entry("as", 0, node), "a name for this include"));
         let given = given.map(|node| item.entry("parameters", 0, node));
         if let Some(own) = &own {
             let both = (name.clone(), own.clone());
@@ -149,8 +149,7 @@ fn copies_in<'a>(
         }
         let target = u16::try_from(index).unwrap_or(u16::MAX);
         if let Some(refused) = refused(within, library, target, name) {
-            let (code, message, hint) = refused;
-            let expected = "a limited number of files that do not include themselves";
+            let (code, message, expected, hint) = refused;
             reader.add(code, item.place(), message, expected, Some(hint.to_owned()));
             return;
         }
@@ -163,15 +162,18 @@ fn refused(
     library: &Library<'_>,
     target: u16,
     name: &str,
-) -> Option<(Code, String, &'static str)> {
+) -> Option<(Code, String, String, &'static str)> {
     let name = shortened(name);
     if within.files.contains(&target) {
         let message = format!("the file `{name}` includes itself");
-        return Some((Code::PlaysItself, message, "remove one of these includes"));
+        let expected = "a file that does not include itself".to_owned();
+        return Some((Code::PlaysItself, message, expected, "remove one of these includes"));
     }
-    let hint = "include fewer files under their own names";
-    let message = format!("with `{name}`, more than {INCLUDES_MAX} files are included under their own names");
-    (library.copies.len() > INCLUDES_MAX).then_some((Code::TooMuch, message, hint))
+    let hint = "include fewer files with `as` or `parameters`";
+    let message =
+        format!("with `{name}`, more than {INCLUDES_MAX} files are included with `as` or `parameters`");
+    let expected = format!("at most {INCLUDES_MAX} such includes");
+    (library.copies.len() > INCLUDES_MAX).then_some((Code::TooMuch, message, expected, hint))
 }
 
 /// An include that has a name or parameters.

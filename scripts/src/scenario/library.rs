@@ -108,7 +108,8 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                 && let Some((message, hint)) = not_to_include(node)
             {
                 let mut reader = Reader::default();
-                let expected = "a file with `moves`, `variables` and other keys that scenarios share";
+                let expected =
+                    "a file with `moves`, `variables` and other keys that can be shared by scenarios";
                 reader.add(Code::Include, place, message, expected, Some(hint.to_owned()));
                 findings.extend(locate(&documents.sources, reader.found));
                 continue;
@@ -287,7 +288,7 @@ impl<'a> Library<'a> {
     pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, (file, copy): (u16, usize)) {
         let Parts { variables, moves, sequences, roles, formations, paths } = *parts;
         if let Some(at) = variables {
-            let entries = reader.entries(&at, "variable to its value");
+            let entries = reader.entries(&at, "a map from each variable to its value");
             reader.later = entries.iter().map(|(name, _)| (*name).to_owned()).collect();
             for (name, at) in entries {
                 let name = plain_name(reader, &at, name, "variable");
@@ -297,8 +298,8 @@ impl<'a> Library<'a> {
             }
         }
         let parts = [
-            (moves, &self.moves, "move", "move to its parameters and tracks"),
-            (sequences, &self.sequences, "sequence", "sequence to its parameters and cues"),
+            (moves, &self.moves, "move", "a map from each move to its parameters and tracks"),
+            (sequences, &self.sequences, "sequence", "a map from each sequence to its parameters and cues"),
         ];
         let prefix = &self.copies[copy].prefix;
         for (at, known, kind, what) in parts {
@@ -311,7 +312,7 @@ impl<'a> Library<'a> {
             }
         }
         if let Some(at) = roles {
-            for (name, at) in reader.entries(&at, "role to its robots") {
+            for (name, at) in reader.entries(&at, "a map from each role to its robots") {
                 let robots = super::cue::robot_names(reader, &at);
                 let name = format!("{}{name}", self.copies[copy].prefix);
                 self.roster.check_role(reader, &at, &name);
@@ -321,7 +322,7 @@ impl<'a> Library<'a> {
             }
         }
         if let Some(at) = formations {
-            for (name, at) in reader.entries(&at, "formation to its places") {
+            for (name, at) in reader.entries(&at, "a map from each formation to its places") {
                 let formation = formations::read(reader, self.files, name, &at);
                 let name = format!("{}{name}", self.copies[copy].prefix);
                 if self.formations.insert(name.clone(), formation).is_some() {
@@ -330,7 +331,7 @@ impl<'a> Library<'a> {
             }
         }
         if let Some(at) = paths {
-            for (name, at) in reader.entries(&at, "path to its points") {
+            for (name, at) in reader.entries(&at, "a map from each path to its points") {
                 let path = paths::read(reader, name, &at);
                 let name = format!("{}{name}", self.copies[copy].prefix);
                 if self.paths.insert(name.clone(), path).is_some() {

@@ -107,7 +107,7 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     let length = tracks.iter().map(|track| track.starts + track.motion.length()).max().unwrap_or_default();
     if let Some(at) = shaping.named.or(shaping.tracks).filter(|_| length > longest()) {
         let message = format!("the movement lasts {length}");
-        let hint = Some("split it into several".to_owned());
+        let hint = Some("split it into several movements".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return Movement::default();
     }
@@ -129,7 +129,13 @@ pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shapi
         shaping.named.map(|at| of_move(reader, library, &at, shaping.parameters)).unwrap_or_default();
     if let (None, Some(at)) = (shaping.named, shaping.parameters) {
         let expected = "a `move` with these parameters";
-        reader.add(Code::MissingKey, at.key_place(), "`parameters` needs a `move`", expected, None);
+        reader.add(
+            Code::MissingKey,
+            at.key_place(),
+            "`parameters` has no effect without a `move`",
+            expected,
+            None,
+        );
     }
     if let Some(at) = shaping.tracks {
         for track in read_tracks(reader, library, &at) {
@@ -197,10 +203,10 @@ fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
     let sound = reader.knots.take(size);
     if let (false, Some(at)) = (sound, shaping.named.or(shaping.tracks)) {
         let most = reader.knots.most();
-        let message = format!("with this movement the scenario has more than {most} keyframes");
+        let message = format!("with this movement, the scenario has more than {most} keyframes");
         let hint =
             Some("use one cue for several robots, or split the scenario into several scenarios".to_owned());
-        reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in all cues"), hint);
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {most} across all cues"), hint);
     }
     sound
 }
@@ -221,13 +227,13 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
         (Some(_), None) | (None, Some(_)) => {}
         (Some(_), Some(play)) => {
             let message = format!("{} has both `tracks` and `play`", used.what());
-            let hint = Some("write the tracks as one more entry under `play`".to_owned());
+            let hint = Some("write the tracks as another entry under `play`".to_owned());
             reader.add(Code::UnknownKey, play.key_place(), message, "one of the two", hint);
         }
         (None, None) if reader.is_miswritten(&body, "tracks") || reader.is_miswritten(&body, "play") => {}
         (None, None) => {
             let message = format!("{} has no `tracks`", used.what());
-            reader.add(Code::MissingKey, body.place(), message, "a key `tracks`, or `play`", None);
+            reader.add(Code::MissingKey, body.place(), message, "a key `tracks` or `play`", None);
         }
     }
     let read = |reader: &mut Reader| match (tracks, play) {
@@ -262,7 +268,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
 }
 
 fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
-    let entries = reader.entries(at, "device of the move to the robot's device");
+    let entries = reader.entries(at, "a map from each device of the move to a device of the robot");
     let mut renamed = vec![None; tracks.len()];
     for (from, at) in entries {
         let Some(to) = reader.name(&at, "the id of a device") else { continue };
@@ -270,7 +276,7 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
             Some(index) => renamed[index] = Some((to, at.place())),
             None => {
                 let known = || tracks.iter().map(|track| track.device.as_str());
-                let message = format!("no track is called `{}`", shortened(from));
+                let message = format!("no track is named `{}`", shortened(from));
                 let expected = one_of(known());
                 let hint = reader.did_you_mean(from, known());
                 reader.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
@@ -366,7 +372,7 @@ fn curves(
             Motion::Curve(curve) => change(curve),
             Motion::Vectors(_) => {
                 let message = format!("`{}` has several values per keyframe", shortened(&track.device));
-                let expected = "tracks of one value";
+                let expected = "tracks with one value per keyframe";
                 reader.add(Code::BadMotion, at.key_place(), message, expected, None);
             }
         }
@@ -395,7 +401,7 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repe
     let added = added.fold(0, usize::saturating_add);
     if !reader.knots.take(added) {
         let message = format!("{times} repetitions add {added} keyframes");
-        let expected = format!("at most {} in all cues", reader.knots.most());
+        let expected = format!("at most {} across all cues", reader.knots.most());
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return None;
     }
@@ -445,13 +451,15 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
         return Some(Turns { times, cycle });
     }
     let (time, once) = (time.rounded(), once.rounded());
-    let (message, hint) = if time < once {
+    let (message, expected, hint) = if time < once {
+        let message = format!("{time} is too short for a movement of {once}");
         let hint = format!("use at least `{}`, or leave `repeat` out", written(once));
-        (format!("{time} is too short for a movement of {once}"), Some(hint))
+        (message, "time for at least one whole cycle".to_owned(), Some(hint))
     } else {
-        (format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times"), None)
+        let message = format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times");
+        (message, format!("at most {REPEATS_MAX} repetitions"), None)
     };
-    reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", hint);
+    reader.add(Code::BadMotion, at.place(), message, expected, hint);
     None
 }
 
@@ -462,9 +470,9 @@ fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
         return Some(cycle);
     }
     let (cycle, once) = (cycle.rounded(), once.rounded());
-    let message = format!("a movement of {once} would be repeated after {cycle}");
+    let message = format!("a movement of {once} cannot be repeated every {cycle}");
     let hint = Some(if cycle == Span::ZERO {
-        "leave `every` out: then each repetition begins when the previous one has ended".to_owned()
+        "leave `every` out: then each repetition starts when the previous one has ended".to_owned()
     } else {
         "shorten the movement, or increase the time between its repetitions".to_owned()
     });
@@ -476,12 +484,12 @@ fn until_time(reader: &mut Reader, until: &At<'_>) -> Option<Exact> {
     let end = match reader.scalar(until)?.as_ref() {
         Node::Text(text) => instant(reader, until, text)?,
         _ => {
-            reader.wrong_type(until, "a time of the act, such as 20s or `bar 9`");
+            reader.wrong_type(until, "a time in the act, such as 20s or `bar 9`");
             return None;
         }
     };
     let Some(start) = reader.music.start.0 else {
-        let message = "how often it fits depends on when the cue begins";
+        let message = "the number of repetitions depends on when the cue starts";
         let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
         reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
         return None;

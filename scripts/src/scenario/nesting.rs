@@ -93,17 +93,17 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
         let told = reader.nesting.circles.get(&message).and_then(|index| reader.found.get(*index));
         if told.is_none_or(|told| told.message != message) {
             reader.nesting.circles.insert(message.clone(), reader.found.len());
-            let hint = Some("remove one of these uses".to_owned());
+            let hint = Some("remove one of these references".to_owned());
             reader.add(Code::PlaysItself, place, message, "a definition that does not use itself", hint);
         }
         return true;
     }
     if depth >= DEPTH_MAX {
-        let message = format!("{what} is nested in {depth} others");
+        let message = format!("{what} is nested {depth} levels deep");
         // Stops the reading of parts that double at each level.
         (reader.nesting.plays, reader.nesting.cues) =
             (Budget::overdrawn(PLAYS_MAX), Budget::overdrawn(SEQUENCE_CUES_MAX));
-        let hint = Some("replace some of them with their contents".to_owned());
+        let hint = Some("replace some nested definitions with their contents".to_owned());
         reader.add(Code::TooMuch, place, message, format!("at most {DEPTH_MAX} nested levels"), hint);
         return true;
     }
@@ -131,8 +131,8 @@ pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     let (one, all) = (reader.nesting.plays.take(1), reader.nesting.all_plays.take(1));
     let most = match (one, all) {
         (true, true) => return true,
-        (false, _) => format!("at most {PLAYS_MAX} in the movement of a cue"),
-        (_, false) => format!("at most {PLAYS_IN_ALL_MAX} in all cues"),
+        (false, _) => format!("at most {PLAYS_MAX} moves in one cue"),
+        (_, false) => format!("at most {PLAYS_IN_ALL_MAX} moves across all cues"),
     };
     let hint = Some("moves that play several others multiply quickly: use `repeat` instead".to_owned());
     reader.add(Code::TooMuch, at.place(), "too many nested moves", most, hint);
@@ -147,7 +147,8 @@ pub(super) fn arguments(
     parameters: Option<&At<'_>>,
     given: Option<&At<'_>>,
 ) -> Vec<(String, Option<Node>)> {
-    let given = given.map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
+    let given =
+        given.map(|at| reader.entries(at, "a map from each parameter to its value")).unwrap_or_default();
     let (mut values, mut meant) = (Vec::with_capacity(given.len()), Vec::new());
     for (parameter, at) in &given {
         match declared(parameters).find(|(known, _)| known == parameter) {
@@ -237,14 +238,16 @@ fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, valu
     }
     let hint = match (wanted, value) {
         (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
-        (Kind::Number, Node::Text(_)) if found == Kind::Time => Some("write only the number".to_owned()),
+        (Kind::Number, Node::Text(_)) if found == Kind::Time => {
+            Some("write only the number, without a unit".to_owned())
+        }
         (_, Node::Text(word)) if reader.scope.get(word).is_some() => {
             Some(format!("write the variable as `${}`", shortened(word)))
         }
         _ => None,
     };
     let message = format!(
-        "the parameter `{}` needs {}, but this is {}",
+        "the parameter `{}` needs {}, but its value is {}",
         shortened(parameter),
         wanted.told(),
         value.kind()
@@ -265,7 +268,9 @@ pub(super) fn with_defaults(
     parameters: Option<&At<'_>>,
     mut given: Vec<(String, Option<Node>)>,
 ) -> Vec<(String, Node)> {
-    let declared = parameters.map(|at| reader.entries(at, "parameter to its default")).unwrap_or_default();
+    let declared = parameters
+        .map(|at| reader.entries(at, "a map from each parameter to its default"))
+        .unwrap_or_default();
     let mut values = Vec::with_capacity(declared.len());
     if let Some(Node::List(items)) = parameters.map(|at| at.node) {
         values.extend(items.iter().filter_map(|item| match item {

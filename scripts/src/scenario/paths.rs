@@ -70,7 +70,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
         (None, Some(circle)) => {
             if let Some(at) = keys.closed {
                 let expected = "`closed` only with `points`";
-                reader.add(Code::UnknownKey, at.key_place(), "a circle is closed", expected, None);
+                reader.add(Code::UnknownKey, at.key_place(), "a circle is always closed", expected, None);
             }
             round(reader, &circle)
         }
@@ -95,9 +95,9 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
         Err(turns) => {
             let point = turns.point % placed.len();
             let place = drawn.places.get(point).map_or_else(|| at.place(), Place::clone);
-            let message = format!("{what} bends too sharply at its point {}", point + 1);
+            let message = format!("{what} bends too sharply at point {}", point + 1);
             let hint = Some("add a point next to it to make the bend wider".to_owned());
-            reader.add(Code::WrongType, place, message, "a path that can be followed without a stop", hint);
+            reader.add(Code::WrongType, place, message, "a path that can be followed without stopping", hint);
             None
         }
     }
@@ -114,7 +114,7 @@ fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -
         reader.add(
             Code::WrongType,
             at.place(),
-            "the circle has no extent",
+            "the circle is too small",
             "a larger `radius` or `scale`",
             None,
         );

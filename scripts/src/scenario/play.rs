@@ -15,7 +15,7 @@ use crate::shown::shortened;
 use downbeat_reader::keys;
 
 const EXPECTED: &str =
-    "a list of moves such as {move: bow}, with a nested list for moves that begin together";
+    "a list of moves such as {move: bow}, with a nested list for moves that start together";
 
 keys! {
     /// A move that a move plays.
@@ -65,7 +65,7 @@ pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whos
         done = end;
         if done.rounded_down() > longest() {
             let message = format!("{whose} lasts {} up to here", done.rounded_down());
-            let hint = Some("split it into several".to_owned());
+            let hint = Some("split the move into several moves".to_owned());
             reader.add(Code::TooMuch, item.place(), message, format!("at most {}", longest()), hint);
             return Vec::new();
         }
@@ -86,7 +86,7 @@ fn entry(
         && !["move", "tracks"].iter().any(|key| reader.is_miswritten(at, key))
     {
         let message = "an entry of `play` moves nothing";
-        reader.add(Code::MissingKey, at.place(), message, "a key `move`, or `tracks`", None);
+        reader.add(Code::MissingKey, at.place(), message, "a key `move` or `tracks`", None);
     }
     let shaping = Shaping {
         named: keys.r#move,
@@ -220,18 +220,18 @@ fn follows(reader: &mut Reader, before: &[Track], track: &Track, whose: &str) ->
             "start one of them later, with `at` or `delay`",
         )
     } else if std::mem::discriminant(&last.motion) != std::mem::discriminant(&track.motion) {
-        let message = format!("{whose} moves `{device}` by one value and by several");
-        (Code::BadMotion, message, "one of the two", "play them in two cues")
+        let message = format!("{whose} moves `{device}` both with single values and with lists of values");
+        (Code::BadMotion, message, "either single values or lists of values", "play them in two cues")
     } else if last.control != track.control {
-        let message = format!("{whose} moves `{device}` by two control types");
-        (Code::BadMotion, message, "one control type for a device", "play them in two cues")
+        let message = format!("{whose} moves `{device}` with two control types");
+        (Code::BadMotion, message, "one control type per device", "play them in two cues")
     } else if last.steps_max.is_some() || track.steps_max.is_some() {
         let message = format!("{whose} plays several movements of `{device}`, one of them with `max_steps`");
         (
             Code::BadMotion,
             message,
-            "`max_steps` for a whole track",
-            "give a `tolerance`, or play them in two cues",
+            "`max_steps` only if the device has a single movement",
+            "use `tolerance` instead, or play the movements in two cues",
         )
     } else {
         return true;

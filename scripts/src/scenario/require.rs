@@ -205,11 +205,11 @@ fn metres(text: &str, word: Word) -> Result<f64, Unfit> {
         let hint = text.parse::<f64>().is_ok();
         let hint = hint.then(|| format!("add the unit: `{} {text}m`", word_of(word)));
         let units = names(METRES.map(|(unit, _)| unit));
-        return Err((format!("`{}` has none of the units {units}", shortened(text)), hint));
+        return Err((format!("`{}` needs one of the units {units}", shortened(text)), hint));
     };
     match number.parse::<f64>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value * metres),
-        Ok(_) => Err((format!("`{}` is not a distance of at least 0", shortened(text)), None)),
+        Ok(_) => Err((format!("the distance `{}` must be at least 0", shortened(text)), None)),
         Err(_) => Err((format!("invalid distance `{}`", shortened(text)), with_point(text, word))),
     }
 }

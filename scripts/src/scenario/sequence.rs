@@ -151,7 +151,7 @@ fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
         let most = reader.nesting.cues.most();
         let message = format!("with this cue, the sequences contain more than {most} cues");
         let hint = Some("sequences that play several others multiply quickly: play fewer of them".to_owned());
-        reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in all"), hint);
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in total"), hint);
     }
     has_room
 }

@@ -139,9 +139,9 @@ const WAVE_CYCLES: f64 = 8.0;
 const NO_ITEM: u32 = u32::MAX;
 
 pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
-    let entries = reader.entries(at, "device to its keyframes");
+    let entries = reader.entries(at, "a map from each device to its keyframes");
     if matches!(at.node, Node::Map(written) if written.is_empty()) {
-        nothing(reader, at, "the cue moves no device", "at least one track");
+        nothing(reader, at, "`tracks` is empty", "at least one track");
     }
     entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
 }
@@ -215,7 +215,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         return None;
     };
     if let (None, Some(length)) = (formula, length) {
-        let message = "`for` needs a `formula` to set the duration of";
+        let message = "`for` has no effect without a `formula`";
         reader.add(Code::UnknownKey, length.key_place(), message, "a `formula` in this track", None);
     }
     let motion = match (frames, points, pieces, wave, travel, samples, formula) {
@@ -469,7 +469,7 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
         let Some(PieceKeys { r#for: length, coefficients }) = keys else { continue };
         let length = length.and_then(|at| positive_time(reader, &at));
         let coefficients: Option<Vec<f64>> = coefficients.and_then(|at| {
-            let list = reader.list(&at, "a list of numbers, the constant first");
+            let list = reader.list(&at, "a list of numbers, the constant term first");
             if matches!(at.node, Node::List(_)) && !(1..=64).contains(&list.len()) {
                 let message = format!("found {} coefficients", list.len());
                 reader.add(Code::BadMotion, at.place(), message, "1 to 64 coefficients", None);

@@ -159,7 +159,7 @@ fn each(
     relation: impl Fn(Target, Option<Gap>, Place) -> Relation,
 ) {
     let Some(at) = at else { return };
-    let expected = format!("a cue, such as `raise` or `start of raise {sign} 500ms`, or a list of them");
+    let expected = format!("a cue, such as `raise` or `start of raise {sign} 500ms`, or a list of cues");
     let items = match at.node {
         Node::List(_) => reader.list(&at, &expected),
         _ => vec![at],
@@ -301,7 +301,7 @@ fn in_order<T: PartialOrd>(
         return Some((least, Some(largest)));
     }
     let message = format!("{} is later than {}", written(shown), written(largest_shown));
-    reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
+    reader.add(Code::TimeOrder, at.place(), message, "the earlier time first", None);
     None
 }
 

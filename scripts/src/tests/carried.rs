@@ -113,10 +113,10 @@ cues:
     let found = found(text);
     let codes: Vec<_> = found.iter().map(|(code, ..)| *code).collect();
     for (code, wanted) in [
-        (Code::WrongType, "bends too sharply at its point 2"),
+        (Code::WrongType, "bends too sharply at point 2"),
         (Code::WrongType, "points 2 and 3 of the path are the same"),
         (Code::MissingKey, "the path `none` has no shape"),
-        (Code::UnknownKey, "a circle is closed"),
+        (Code::UnknownKey, "a circle is always closed"),
         (Code::UnknownPath, "no path `opne`"),
         (Code::WrongType, "2 laps of `open`"),
         (Code::WrongType, "`up` has no heading where it leads straight up or down"),
@@ -164,7 +164,7 @@ fn a_group_is_told_what_it_can_do_about_its_limits_and_that_it_moves_as_one() {
         |cue: &str| compiled(2, &scenario(EIGHT, &format!("  - {{robots: [d0, d1], {cue}}}\n"))).findings;
     let beyond = found("shift: [70, 0, 0], over: 100s");
     let hints: Vec<&str> = beyond.iter().filter_map(|found| found.hint.as_deref()).collect();
-    assert_eq!(hints, ["at most `shift: [49.3, 0, 0]` fits"], "{beyond:#?}");
+    assert_eq!(hints, ["use at most `shift: [49.3, 0, 0]`"], "{beyond:#?}");
     let spread = found("turn: {from: 0, to: 90, across: group}, over: 10s");
     assert_eq!(spread.len(), 1, "{spread:#?}");
     assert!(spread[0].message.contains("spread over the robots"), "{spread:#?}");

@@ -357,7 +357,7 @@ cues:
     for expected in [
         (Code::UnknownKey, 16, "`scale` is not supported in a cue that plays a sequence".to_owned()),
         (Code::UnknownKey, 16, "the sequence `greet` has no parameter `whom`".to_owned()),
-        (Code::WrongKind, 16, "the parameter `pause` needs a time, but this is the number 3".to_owned()),
+        (Code::WrongKind, 16, "the parameter `pause` needs a time, but its value is the number 3".to_owned()),
         (Code::UnknownSequence, 17, "no sequence `great`".to_owned()),
     ] {
         assert!(
@@ -467,7 +467,12 @@ cues: [{cue: mark}]\n";
         &found,
         &[
             (Code::UnknownKey, "s.yaml", 3, "the file `arm.yaml` has no parameter `reech`"),
-            (Code::WrongKind, "s.yaml", 4, "the parameter `time` needs a time, but this is the number 3"),
+            (
+                Code::WrongKind,
+                "s.yaml",
+                4,
+                "the parameter `time` needs a time, but its value is the number 3",
+            ),
             (Code::Variable, "s.yaml", 5, "the file `arm.yaml` needs a value for `side`"),
         ],
     );

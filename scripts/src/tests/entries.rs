@@ -42,7 +42,7 @@ fn a_jump_between_acts_is_an_error_if_the_speed_has_a_limit_and_a_warning_otherw
     let limited = jumps(&fleet("linear", true), &acts);
     assert_eq!(codes(&limited), [Code::TooFast]);
     assert_eq!(limited[0].severity, Severity::Error);
-    assert!(limited[0].message.contains("from 80, where act `one` leaves it, to 10"), "{limited:?}");
+    assert!(limited[0].message.contains("from 80, where the act `one` leaves it, to 10"), "{limited:?}");
     assert_eq!(codes(&jumps(&fleet("linear", false), &acts)), [Code::Jump]);
     assert_eq!(codes(&jumps(&fleet("linear", true), &[("one", "", 0, 80), ("two", "", 80, 0)])), []);
 }
@@ -59,7 +59,7 @@ fn a_way_that_leads_back_to_an_act_is_judged_too() {
     let wait = "wait: {sensor: arm/d, above: 3, timeout: 5s, otherwise: one},";
     let back = jumps(&fleet("linear", true), &[("one", "next: two,", 0, 80), ("two", wait, 80, 40)]);
     assert_eq!(codes(&back), [Code::TooFast], "the wait of `two` leads back to `one`: {back:?}");
-    assert!(back[0].message.contains("from 80, where act `one` leaves it, to 0"), "{back:?}");
+    assert!(back[0].message.contains("from 80, where the act `one` leaves it, to 0"), "{back:?}");
 }
 
 #[test]
@@ -84,7 +84,7 @@ acts:
     let source = Source { name: "s.yaml".into(), text: text.into() };
     let found = compile(&source, &fleet("linear", true), &NoFiles).findings;
     let message = found.iter().find(|finding| finding.code == Code::TooFast).map(|finding| &finding.message);
-    assert!(message.is_some_and(|message| message.contains("where act `one` leaves it")), "{found:#?}");
+    assert!(message.is_some_and(|message| message.contains("where the act `one` leaves it")), "{found:#?}");
 }
 
 #[test]

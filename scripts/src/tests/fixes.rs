@@ -63,7 +63,7 @@ fn edited(text: &str, (key, value): (&str, &str)) -> String {
 fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
     let (found, hint) = fault(fleet, text);
     assert!(
-        found == code && (hint.contains("is enough") || hint.contains("at most")),
+        found == code && (hint.contains("is enough") || hint.contains("use ")),
         "{text}\n{found:?} {hint}"
     );
     let first = hint.split("; ").next().unwrap();
@@ -100,7 +100,7 @@ fn a_size_that_is_enough_is_enough_and_little_less_is_not() {
 #[test]
 fn a_larger_formation_that_takes_more_time_says_how_much() {
     let hint = fixed(&fleet(12, false), &form("line: {length: 2}", "form: f, over: 1s"), Code::NoWayPast);
-    assert!(hint.contains(" is enough with `over: "), "{hint}");
+    assert!(hint.starts_with("use `") && hint.contains("` with `over: "), "{hint}");
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn a_formation_on_the_way_leads_past() {
     let fleet = fleet(2, true);
     let (code, hint) = fault(&fleet, SWAP);
     assert_eq!(code, Code::NoWayPast);
-    assert!(hint.contains("via `wide`"), "{hint}");
+    assert!(hint.contains("form `wide` on the way"), "{hint}");
     let between =
         "  - {cue: wide, after: there, robots: all, form: wide, over: 5s}\n  - {cue: back, after: wide,";
     is_sound(&fleet, &SWAP.replace("  - {cue: back, after: there,", between));
@@ -199,7 +199,7 @@ fn acts_that_go_round_come_to_an_end_where_the_hint_says() {
     );
     let fleet = fleet(1, false);
     let (code, hint) = fault(&fleet, &text);
-    assert!(code == Code::DeadEnd && hint == "write `next: end` for `a8`", "{hint}");
+    assert!(code == Code::DeadEnd && hint == "write `next: end` in the act `a8`", "{hint}");
     is_sound(&fleet, &text.replace("act: a8, next: a0", "act: a8, next: end"));
     // Two cycles are two findings; an act that leads into a cycle is none.
     let two = format!("scenario: s\nacts:\n{}{}{}{}", act(0, 1), act(1, 1), act(2, 3), act(3, 2))
@@ -235,7 +235,7 @@ fn a_change_of_a_move_is_told_how_far_it_may_go() {
     };
     let fleet = super::fleet();
     let (code, hint) = fault(&fleet, &text("scale: 3"));
-    assert_eq!((code, hint.as_str()), (Code::OutOfRange, "a factor of at most 2.25 fits"));
+    assert_eq!((code, hint.as_str()), (Code::OutOfRange, "use a factor of at most 2.25"));
     is_sound(&fleet, &text("scale: 2.25"));
     let (code, hint) = fault(&fleet, &text("mirror: true"));
     assert_eq!(
@@ -276,7 +276,7 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
         )
     };
     let fleet = super::fleet();
-    for (center, hint) in [(4.0, "move it up by 6"), (84.0, "move it down by 4")] {
+    for (center, hint) in [(4.0, "increase all values by 6"), (84.0, "decrease all values by 4")] {
         let (code, told) = fault(&fleet, &text(center));
         assert_eq!((code, told.as_str()), (Code::OutOfRange, hint));
     }
@@ -285,7 +285,7 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
     // An amplitude that is too large for any position.
     let large = |amplitude: &str| text(45.0).replace("amplitude: 10", &format!("amplitude: {amplitude}"));
     let (code, told) = fault(&fleet, &large("60"));
-    let expected = "its values span 120, but the limits span only 90: scale it by 0.75";
+    let expected = "the values span 120, but the limits span only 90: scale the movement by 0.75";
     assert_eq!((code, told.as_str()), (Code::OutOfRange, expected));
     is_sound(&fleet, &large("0.75 * 60"));
 }
@@ -337,7 +337,7 @@ cues:
   - {robots: arm, move: m, parameters: {to: 80}}
 ";
     let (code, hint) = fault(&super::fleet(), text);
-    let expected = "`to` leads to 160: use a value that leads to at most 90";
+    let expected = "`to` results in 160: use a value that results in at most 90";
     assert_eq!((code, hint.as_str()), (Code::OutOfRange, expected));
 }
 

@@ -181,7 +181,7 @@ fn an_act_that_is_reached_after_a_failure_too_does_not_know_where_robots_are() {
     };
     assert_eq!(lost(&acts("on_failure: stop")), Vec::<String>::new());
     let after_failure = lost(&acts("on_failure: {default: stop, then: two}"));
-    assert!(after_failure.len() == 1 && after_failure[0].contains("when `up` begins"), "{after_failure:?}");
+    assert!(after_failure.len() == 1 && after_failure[0].contains("when `up` starts"), "{after_failure:?}");
 }
 
 #[test]
@@ -335,7 +335,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
     // The distances are 0.1 m, 0.5 m and 0.2 m.
     let (code, expected, hint) = cue("form: f");
     assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
-    assert_eq!(hint, "`spacing: 0.807` is enough");
+    assert_eq!(hint, "use `spacing: 0.807`");
 }
 
 #[test]
@@ -518,7 +518,7 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     assert_eq!(findings[0].message, "places 1 and 2 of `near` are 0.390 m apart");
     assert!(findings[0].expected.starts_with("at least 0.400 m between centres"), "{findings:#?}");
     let hint = findings[0].hint.as_deref().unwrap();
-    assert_eq!(hint, "`scale: 1.05` is enough");
+    assert_eq!(hint, "use `scale: 1.05`");
     // Without bodies and distances, two robots still cannot be at the same place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
     let text = format!(

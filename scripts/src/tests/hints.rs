@@ -118,7 +118,8 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     let words = quoted(hint);
     let seconds =
         |text: &str| parse_duration(text.trim_end_matches(',')).map(|span| span.as_millis_f64() / 1_000.0);
-    if let Some(all) = hint.strip_prefix("any one of: ") {
+    let several = ["make one of these changes: ", "one of these is enough: "];
+    if let Some(all) = several.iter().find_map(|start| hint.strip_prefix(*start)) {
         return all.split("; ").flat_map(|part| edits(text, finding, part)).collect();
     }
     if finding.code == Code::Conflict {

@@ -414,7 +414,7 @@ fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
     let found = compiled(&track).findings;
     let [warning] = found.as_slice() else { panic!("{found:#?}") };
     assert_eq!(warning.code, Code::Snapped);
-    let expected = "keyframe 20: 9.69 is rounded to 9.5, off by 0.19, the largest error of 19 values off the grid, for position of `valve` on `bot`";
+    let expected = "keyframe 20: 9.69 is rounded to 9.5, an error of 0.19, the largest of 19 such errors, for position of `valve` on `bot`";
     assert_eq!(warning.message, expected);
 }
 

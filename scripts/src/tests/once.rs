@@ -38,11 +38,11 @@ fn what_uses_a_parameter_without_a_value_is_not_told() {
     check(&played("pause: 2s"), &["11:27 the sequence `show` needs a value for `who`"]);
     check(
         &played("who: left, depth: deep"),
-        &["11:64 the parameter `depth` needs a number, but this is the text `deep`"],
+        &["11:64 the parameter `depth` needs a number, but its value is the text `deep`"],
     );
     check(
         &played("who: left, pause: soon"),
-        &["11:64 the parameter `pause` needs a time, but this is the text `soon`"],
+        &["11:64 the parameter `pause` needs a time, but its value is the text `soon`"],
     );
     // What a name refers to is known only where the name is used.
     check(&played("who: left, name: anything"), &[]);
@@ -142,7 +142,7 @@ cues:
     check(
         &text,
         &[
-            "2:9 the role `left` has the name of a robot",
+            "2:9 the role `left` has the same name as a robot",
             "2:28 no robot or group `lefft` in the fleet",
             "2:48 already in the role `both`: `left`",
             "2:74 no robot or group `lead` in the fleet",
@@ -271,8 +271,8 @@ cues: [{{robots: [left, right], move: m, parameters: {{to: {to}}}}}]
     check(
         &text("{from: 1s, to: 3s, across: group}"),
         &[
-            "4:65 the parameter `to` needs a number, but this is the text `1s`",
-            "4:73 the parameter `to` needs a number, but this is the text `3s`",
+            "4:65 the parameter `to` needs a number, but its value is the text `1s`",
+            "4:73 the parameter `to` needs a number, but its value is the text `3s`",
         ],
     );
     let words = compiled_with(&text("low"), &[]).findings;
@@ -280,7 +280,7 @@ cues: [{{robots: [left, right], move: m, parameters: {{to: {to}}}}}]
     // It is not reported that the types of the two ends differ: the number is correct.
     check(
         &text("{from: 1s, to: 3, across: group}"),
-        &["4:65 the parameter `to` needs a number, but this is the text `1s`"],
+        &["4:65 the parameter `to` needs a number, but its value is the text `1s`"],
     );
 }
 
@@ -340,5 +340,5 @@ fn a_time_that_is_nearly_right_is_told_how_it_is_written() {
     assert_eq!(hint("2 * 2beats"), "write `2 beats`");
     assert_eq!(hint("1s..2s"), "a range is not supported here: write one time");
     assert_eq!(hint("1,5s"), "write a decimal point: `1.5s`");
-    assert_eq!(hint("1:30"), "write hours, minutes and seconds, `00:01:30` or `01:30:00`");
+    assert_eq!(hint("1:30"), "write hours, minutes and seconds, as in `00:01:30` or `01:30:00`");
 }

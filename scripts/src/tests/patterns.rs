@@ -400,7 +400,7 @@ fn what_is_wrong_with_a_canon_is_found_at_its_place() {
     let canon = |canon: &str, expected: &str| finds(&format!("canon: {canon}, {tracks}"), &[expected]);
     canon("{by: x}", "`{` DB0006 found none or several of `step`, `speed` and `over`");
     canon("{step: 1s, over: 1s}", "`{` DB0006 found none or several of `step`, `speed` and `over`");
-    canon("{speed: 1}", "`speed` DB0006 the `speed` of a canon needs an order by position");
+    canon("{speed: 1}", "`speed` DB0006 a canon with `speed` requires robots that are ordered by position");
     canon("{speed: 0, by: x}", "`0` DB0003 found the number 0");
     canon("{speed: 1e9, by: x}", "`1e9` DB0003 found the number 1000000000");
     canon("{step: 1s, by: [1, 2]}", "`[` DB0003 found 2 entries");
@@ -409,7 +409,10 @@ fn what_is_wrong_with_a_canon_is_found_at_its_place() {
     canon("{over: 1s * $count}", "`$count` DB0070 `$count` differs between robots and is not supported here");
     canon("2 * $index", "`2 * $index` DB0070 the result of the expression is a plain number");
     canon("1s / ($index - 1)", "`/` DB0070 division by zero");
-    canon("8000h * $index", "`8000h * $index` DB0045 the last of 4 robots begins 172800000 s after the cue");
+    canon(
+        "8000h * $index",
+        "`8000h * $index` DB0045 the last of 4 robots starts 172800000 s after the start of the cue",
+    );
     finds(
         &format!("at: 1s..2s + 1s * $index, {tracks}"),
         &["`1s..2s + 1s * $index` DB0003 a range that differs between robots is not supported"],
@@ -465,7 +468,7 @@ fn turns_that_overlap_or_are_given_twice_are_found() {
             &[expected],
         );
     };
-    repeat("{times: 2, every: 1s}", "`1s` DB0041 a movement of 2 s would be repeated after 1 s");
+    repeat("{times: 2, every: 1s}", "`1s` DB0041 a movement of 2 s cannot be repeated every 1 s");
     repeat("{times: 2, for: 9s}", "`{` DB0003 found none or several of `times`, `until` and `for`");
     repeat("{every: 3s}", "`{` DB0003 found none or several of `times`, `until` and `for`");
     repeat("{every: 3s, for: 1s}", "`{` DB0041 1 s is too short for a movement of 2 s");

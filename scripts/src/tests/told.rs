@@ -136,7 +136,7 @@ fn a_loop_with_too_many_steps_is_to_be_repeated_less() {
             "cues: [{{cue: c, robots: bot, {keys} tracks: {{lamp: [{{at: 0s, to: 0}}, {{at: 1ms, to: 1}}, {{at: 2ms, to: 0}}]}}}}]\n"
         )
     };
-    says(&track("repeat: 90000,"), &["reduce the repetitions in `c`"]);
+    says(&track("repeat: 90000,"), &["reduce the number of repetitions in `c`"]);
 }
 
 #[test]

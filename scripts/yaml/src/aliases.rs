@@ -23,7 +23,7 @@ pub fn check(source: &Source, text: &str) -> Option<Finding> {
     // The text may be shorter than the file, so the place is searched in the file itself.
     let (line, column) = exceeding(&source.text)?;
     let message = format!("the aliases up to here expand to more than {ALIASED_MAX} values");
-    let hint = Some("write out the values, or use one of `moves` in several cues".to_owned());
+    let hint = Some("write out the values, or define a move and use it in several cues".to_owned());
     let expected = format!("at most {ALIASED_MAX} values from aliases");
     let mut finding = Finding::about_file(Code::TooMuch, &source.name, message, &expected, hint);
     (finding.line, finding.column, finding.width) = (line, column + 1, 1);

@@ -118,7 +118,9 @@ pub fn position(text: &str) -> Option<String> {
 pub fn hint(text: &str) -> Option<String> {
     let text = text.trim();
     if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
-        return Some(format!("a time cannot be negative: write `{rest}`, or start the others later"));
+        return Some(format!(
+            "a time cannot be negative: write `{rest}`, or start the other movements later"
+        ));
     }
     if ["now", "start", "begin", "immediately"].contains(&text) {
         return Some("write `0s` for the beginning".to_owned());
@@ -273,10 +275,10 @@ fn almost_of_clock(text: &str) -> Option<String> {
         [a, b] if *b < 60 => {
             let (hours, minutes) = (a / 60, a % 60);
             let as_minutes = format!("{hours:02}:{minutes:02}:{b:02}");
-            Some(format!("write hours, minutes and seconds, `{as_minutes}` or `{a:02}:{b:02}:00`"))
+            Some(format!("write hours, minutes and seconds, as in `{as_minutes}` or `{a:02}:{b:02}:00`"))
         }
         [h, m, s] => parse_duration(&format!("{h}h{m}m{s}s"))
-            .map(|_| format!("write two digits below 60 each, or `{h}h{m}m{s}s`")),
+            .map(|_| format!("write two digits for minutes and seconds, each below 60, or `{h}h{m}m{s}s`")),
         _ => None,
     }
 }
@@ -359,9 +361,9 @@ mod tests {
     #[test]
     fn a_time_in_another_form_is_shown_in_this_one() {
         for (text, right) in [
-            ("1:30", "write hours, minutes and seconds, `00:01:30` or `01:30:00`"),
-            ("75:20", "write hours, minutes and seconds, `01:15:20` or `75:20:00`"),
-            ("0:1:90", "write two digits below 60 each, or `0h1m90s`"),
+            ("1:30", "write hours, minutes and seconds, as in `00:01:30` or `01:30:00`"),
+            ("75:20", "write hours, minutes and seconds, as in `01:15:20` or `75:20:00`"),
+            ("0:1:90", "write two digits for minutes and seconds, each below 60, or `0h1m90s`"),
             ("00:01:30,5", "write a decimal point: `00:01:30.5`"),
             ("1 second", "write `1s`"),
             ("2 S", "write `2s`"),

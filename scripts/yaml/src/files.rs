@@ -61,7 +61,7 @@ pub struct NoFiles;
 
 impl Files for NoFiles {
     fn read(&self, name: &str) -> Result<Source, Finding> {
-        let message = "there are no files here".to_owned();
+        let message = "other files cannot be read here".to_owned();
         Err(Finding::about_file(Code::Unreadable, name, message, "a scenario in one file", None))
     }
 }

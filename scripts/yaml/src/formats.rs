@@ -66,7 +66,7 @@ formats! {
     /// Waypoints: one CSV with the columns `id,x[m],y[m],z[m],t[s]`.
     Waypoints {
         word: "waypoints",
-        about: "CSV with id,x[m],y[m],z[m],t[s]",
+        about: "CSV with the columns id,x[m],y[m],z[m],t[s]",
         ends: &["csv"],
         is_recognized: false,
         kind: "crazyflie",
@@ -85,7 +85,7 @@ formats! {
     /// Motions of PAL Robotics' `play_motion2`, as YAML.
     PlayMotion2 {
         word: "play-motion2",
-        about: "motions of PAL Robotics' robots, YAML",
+        about: "motions of PAL Robotics robots, YAML",
         ends: &["yaml", "yml", "json"],
         is_recognized: false,
         kind: "tiago",
@@ -95,7 +95,7 @@ formats! {
     /// Keyframe animations of the RoboCup team Bit-Bots, as JSON.
     Bitbots {
         word: "bitbots",
-        about: "keyframe animations of the Bit-Bots, JSON",
+        about: "keyframe animations of the RoboCup team Bit-Bots, JSON",
         ends: &["json"],
         is_recognized: false,
         kind: "humanoid",
@@ -105,7 +105,7 @@ formats! {
     /// Compiled drone shows of Skybrush (`.skyc`).
     Skybrush {
         word: "skybrush",
-        about: "compiled drone shows, .skyc",
+        about: "compiled Skybrush drone shows, .skyc",
         ends: &["skyc"],
         kind: "drone",
         has_curves: true,
@@ -114,7 +114,7 @@ formats! {
     /// Motions of Webots (`.motion`).
     Webots {
         word: "webots",
-        about: "motions of Webots, .motion",
+        about: "Webots motions, .motion",
         ends: &["motion"],
         is_single: true,
     }
@@ -131,7 +131,7 @@ formats! {
     /// Standard MIDI files.
     Midi {
         word: "midi",
-        about: "notes and controllers, .mid",
+        about: "MIDI notes and controllers, .mid",
         ends: &["mid", "midi"],
         kind: "midi",
         is_single: true,
@@ -140,7 +140,7 @@ formats! {
     /// Light sequences of xLights and Falcon Player (`.fseq`).
     Fseq {
         word: "fseq",
-        about: "light sequences of xLights and Falcon Player, .fseq, with --map",
+        about: "light sequences of xLights and Falcon Player, .fseq; needs --map",
         ends: &["fseq"],
         kind: "lamps",
         is_mapped: true,
@@ -149,14 +149,14 @@ formats! {
     /// Recordings of ROS with joint states (`.mcap`).
     Mcap {
         word: "mcap",
-        about: "recordings of ROS with JointState, .mcap",
+        about: "ROS recordings with JointState messages, .mcap",
         ends: &["mcap"],
     }
 
     /// Any CSV with a column of times.
     Csv {
         word: "csv",
-        about: "any CSV with times, with --time and --map",
+        about: "any CSV with a column of times; needs --time and --map",
         ends: &["csv"],
         is_mapped: true,
     }

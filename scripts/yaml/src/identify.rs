@@ -63,7 +63,7 @@ impl Document {
             }
             (Self::Fleet, _) => "use the file that lists the robots, usually `fleet.yaml`",
             (Self::World, _) => "pass the world file with `--world FILE`",
-            (Self::Robot, _) => "use the file that a robot of the fleet has as its `init`",
+            (Self::Robot, _) => "use the `init` file of a robot in the fleet",
         }
     }
 }
@@ -125,7 +125,7 @@ pub fn begin(wanted: Document) -> String {
         Document::Fleet => ("a fleet file", "fleet.yaml"),
         Document::Robot => ("the description of a robot", "robots/arm.yaml"),
         Document::World => {
-            return "begin a world file with `world: NAME`; docs/world.md lists its keys".to_owned();
+            return "start a world file with `world: NAME`; docs/world.md lists its keys".to_owned();
         }
     };
     format!("run `downbeat init first-show` to create {what}: `first-show/{name}`")

@@ -134,12 +134,13 @@ fn outside(path: &Path) -> Finding {
         return Finding::about_file(Code::OutsideProject, &name, message, "the name of a file", None);
     }
     let message = "this file is outside the project".to_owned();
-    let hint = "move it into the project, or set a folder that contains both with `--project DIR`".to_owned();
+    let hint =
+        "move it into the project, or pass `--project DIR` with a folder that contains both files".to_owned();
     Finding::about_file(Code::OutsideProject, &name, message, EXPECTED, Some(hint))
 }
 
-/// A description of the project, for messages.
-const EXPECTED: &str = "a file below the nearest folder with `.git`, or else with `fleet.yaml`, or else in the folder of this file";
+/// What is expected instead of a file outside the project, for messages.
+const EXPECTED: &str = "a file in the project: the nearest folder with `.git`, otherwise with `fleet.yaml`, otherwise the folder of this file";
 
 #[cfg(test)]
 mod tests {

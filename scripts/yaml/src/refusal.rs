@@ -48,7 +48,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
         (ErrorKind::NotFound, Attempt::Read(_)) => "there is no such file",
         (ErrorKind::NotFound, Attempt::Write(_)) => "the folder does not exist",
         (ErrorKind::NotADirectory | ErrorKind::AlreadyExists, Attempt::Write(_)) => {
-            "a file with the name of the folder exists"
+            "a file with the name of the folder already exists"
         }
         (ErrorKind::IsADirectory, _) => "this is a folder",
         (ErrorKind::PermissionDenied, _) => "permission denied",
@@ -86,7 +86,7 @@ fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
         }
         (Attempt::Write(path), ErrorKind::NotFound) => format!("create it with `mkdir -p {}`", parent(path)),
         (Attempt::Write(_), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
-            "choose a folder that you may write to".to_owned()
+            "choose a folder that you can write to".to_owned()
         }
         (
             Attempt::Write(_),
@@ -97,10 +97,10 @@ fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
                 .to_owned()
         }
         (Attempt::Listen, ErrorKind::AddrNotAvailable) => {
-            "listen on 127.0.0.1 to be reachable from this machine, or on 0.0.0.0 to be reachable from any network"
+            "listen on 127.0.0.1 to be reachable only from this machine, or on 0.0.0.0 to be reachable from any network"
                 .to_owned()
         }
-        (Attempt::Listen, ErrorKind::PermissionDenied) => "choose a port of at least 1024".to_owned(),
+        (Attempt::Listen, ErrorKind::PermissionDenied) => "choose port 1024 or higher".to_owned(),
         (Attempt::Listen, ErrorKind::InvalidInput) => "write HOST:PORT, such as 127.0.0.1:7401".to_owned(),
         (Attempt::Connect, ErrorKind::ConnectionRefused) => {
             "start the robot, or correct the port in its address".to_owned()
@@ -111,7 +111,7 @@ fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
         (
             Attempt::Connect,
             ErrorKind::TimedOut | ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable,
-        ) => "check the address, and that the robot is switched on and connected to this network".to_owned(),
+        ) => "check the address, and make sure that the robot is switched on and connected to this network".to_owned(),
         _ => return None,
     };
     Some(remedy)
@@ -129,7 +129,7 @@ mod tests {
             told(Attempt::Write(path), 2),
             "the folder does not exist; create it with `mkdir -p shows`"
         );
-        assert_eq!(told(Attempt::Listen, 13), "permission denied; choose a port of at least 1024");
+        assert_eq!(told(Attempt::Listen, 13), "permission denied; choose port 1024 or higher");
         assert_eq!(told(Attempt::Write(path), 28), "No space left on device");
     }
 }

@@ -51,7 +51,7 @@ pub fn render(findings: &[Finding], colour: bool) -> String {
     for (code, count) in hidden {
         let more = counted(count - WARNINGS_MAX, "warning");
         let code = code.as_str();
-        text.push_str(&format!("and {more} of {code} more: `--format json` lists all of them\n\n"));
+        text.push_str(&format!("plus {more} with the code {code}: `--format json` lists all of them\n\n"));
     }
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
     text.push_str(&format!("{}, {}", counted(errors, "error"), counted(findings.len() - errors, "warning")));

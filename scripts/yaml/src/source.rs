@@ -66,7 +66,7 @@ pub fn is_general(hint: &str) -> bool {
 /// Returns the finding for a file that is not UTF-8 text. `valid` is the number of valid bytes at its beginning.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
-    let save = || format!("save the file with the encoding UTF-8{in_excel}");
+    let save = || format!("save the file with UTF-8 encoding{in_excel}");
     let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
     let (message, hint) = match formats::binary(bytes) {
         Some(what) => {
@@ -81,7 +81,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
             let import = formats::importing(name).filter(|_| !name.ends_with(".csv"));
             ("this is not a text file".to_owned(), import.unwrap_or_else(|| USE_A_TEXT_FILE.to_owned()))
         }
-        None => (format!("line {line} has a character that is not encoded in UTF-8"), save()),
+        None => (format!("line {line} contains a character that is not encoded in UTF-8"), save()),
     };
     Finding::about_file(Code::Unreadable, name, message, "a text file in UTF-8", Some(hint))
 }

@@ -25,7 +25,7 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     } else if whole.contains("repetition limit") {
         finding.hint = Some("the aliases expand to too many values: use fewer of them".into());
     } else if whole.contains(RECURSION) {
-        finding.hint = Some("valid files nest only a few levels deep".into());
+        finding.hint = Some("reduce the nesting: valid files have only a few levels".into());
     } else if whole.contains("more than one document") {
         several_documents(source, &mut finding);
     }
@@ -36,7 +36,7 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
 /// where the second document begins.
 fn several_documents(source: &Source, finding: &mut Finding) {
     "the file has more than one document".clone_into(&mut finding.message);
-    finding.hint = Some("keep one document per file: remove the `---` between them".into());
+    finding.hint = Some("keep one document per file: remove the `---` between the documents".into());
     let says_nothing =
         |line: &str| line.trim().is_empty() || line.starts_with(['#', '%']) || line.starts_with("---");
     let mut lines = source.text.lines().enumerate().skip_while(|(_, line)| says_nothing(line));
@@ -62,7 +62,7 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     };
     let indented = |line: &str| line[..line.len() - line.trim_start().len()].contains('\t');
     if near().any(indented) {
-        "a tab indents this line".clone_into(&mut finding.message);
+        "this line is indented with a tab".clone_into(&mut finding.message);
         "spaces".clone_into(&mut finding.expected);
         return Some("indent YAML with spaces: replace each tab with spaces".to_owned());
     }
@@ -70,7 +70,7 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
         "this line contains a no-break space, for example copied from a web page"
             .clone_into(&mut finding.message);
         "ordinary spaces".clone_into(&mut finding.expected);
-        return Some("retype the spaces of this line".to_owned());
+        return Some("retype the spaces in this line".to_owned());
     }
     if let Some(name) = near().find_map(braced) {
         "braces around the name of a variable".clone_into(&mut finding.message);
@@ -189,7 +189,7 @@ fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
 
 fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     let key = shortened(key);
-    finding.message = format!("this line is indented deeper than `{key}`, which has a value already");
+    finding.message = format!("this line is indented deeper than `{key}`, which already has a value");
     finding.expected = format!("{} before it", crate::render::counted(column - 1, "space"));
     finding.hint = Some(format!("indent it like `{key}`"));
     finding.column = line.len() - line.trim_start().len() + 1;
@@ -205,7 +205,7 @@ fn second_colon(finding: &mut Finding, line: &str) {
     let inner = value.trim();
     let is_map = inner.ends_with(':') || inner.contains(": [") || inner.contains(": {");
     finding.hint = Some(if is_map {
-        format!("begin a new line after `{key}:`, and indent it deeper")
+        format!("start a new line after `{key}:`, and indent it deeper")
     } else {
         format!("write the value in quotation marks: `{key}: \"{}\"`", shortened(inner))
     });
@@ -213,8 +213,8 @@ fn second_colon(finding: &mut Finding, line: &str) {
 
 /// Adds the message and hint to the finding for an unknown alias. YAML reads a text that begins with an asterisk as an alias.
 fn unknown_alias(finding: &mut Finding, line: &str) {
-    "unknown alias: an asterisk begins the name of an alias".clone_into(&mut finding.message);
-    "a value that begins with another character".clone_into(&mut finding.expected);
+    "unknown alias: an asterisk at the start of a value refers to an alias".clone_into(&mut finding.message);
+    "a value that starts with another character".clone_into(&mut finding.expected);
     let rest = line.split_once('*').map_or("", |(_, rest)| rest);
     let name = rest.split([',', ']', '}', '#']).next().unwrap_or_default().trim();
     finding.hint = Some(match name {
@@ -259,7 +259,7 @@ fn explain(finding: &mut Finding, whole: &str, text: &str) {
         (
             Some(message),
             "a second quotation mark".to_owned(),
-            "add the quotation mark at the end of the text".to_owned(),
+            "add a quotation mark at the end of the text".to_owned(),
         )
     } else if begun.what == "scanning a simple key" {
         let message = NO_COLON.to_owned();

@@ -34,7 +34,7 @@ pub fn foreign_tags(source: &Source) -> Vec<Finding> {
             &source.name,
             format!("the tag `!{}` is not supported", shortened(&tag.suffix)),
             "a plain value",
-            Some("remove the tag: tags never execute or convert anything".to_owned()),
+            Some("remove the tag, and write a plain value".to_owned()),
         );
         (finding.line, finding.column) = (extent.start.0, extent.start.1 + 1);
         finding.width = 1;

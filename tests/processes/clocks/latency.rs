@@ -66,7 +66,7 @@ fn plan_and_check_show_which_latency_is_compensated_and_where_it_is_from() {
         assert!(plan.text().contains(expected), "{expected}: {}", plan.text());
     }
     let check = session.run(&["check", "play.yaml"]);
-    let line = "latency compensated for 3 devices, at most 60 ms (1 from the fleet, 1 from the file, 1 from the robot)";
+    let line = "latency compensated for 3 devices, up to 60 ms (1 from the fleet, 1 from the file, 1 from the robot)";
     assert!(check.text().contains(line), "{}", check.text());
     let json = session.run(&["plan", "play.yaml", "--format", "json"]).json();
     let act = &json["acts"][0];

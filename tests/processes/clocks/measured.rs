@@ -65,7 +65,7 @@ fn a_recording_gives_back_the_delays_and_clocks_that_were_simulated() {
         .run(&["world", "show.mcap", "--output", "world.yaml"])
         .says(2, &["`world.yaml` already exists; --force"]);
     session.run(&["world", "show.mcap", "--output", "world.yaml", "--force"]).says(0, &[]);
-    session.run(&["world", "show.mcap", "--output", "show.mcap", "--force"]).says(2, &["would replace"]);
+    session.run(&["world", "show.mcap", "--output", "show.mcap", "--force"]).says(2, &["would overwrite"]);
     let text = fs::read_to_string(session.path("world.yaml")).unwrap();
     assert_eq!(session.run(&["world", "show.mcap"]).out(), text, "twice the same");
     let fleet = read_fleet(&session.path("fleet.yaml")).0.unwrap();
@@ -88,7 +88,7 @@ fn a_journal_tells_of_clocks_alone_and_of_none_where_all_follow_ntp() {
     let state = fs::read_dir(session.path("state")).unwrap().map(|entry| entry.unwrap().path());
     let folder = state.into_iter().find(|folder| folder.join("journal").exists()).unwrap();
     let ran = session.run(&["world", folder.to_str().unwrap()]);
-    ran.says(0, &["# A journal has no messages", "left: {offset: 1"]);
+    ran.says(0, &["# A journal contains no messages", "left: {offset: 1"]);
     assert!(!ran.out().contains("links:") && !ran.out().contains("right: {"), "{}", ran.out());
     session.file(
         "fleet.yaml",

@@ -224,7 +224,7 @@ fn what_comes_after_the_death_of_a_robot_is_not_waited_for() {
     let examined = examined(robot, options(&["reconnect", "two-links", "availability"]));
     let last = examined.judged.last().unwrap();
     assert_eq!((last.requirement, last.verdict), ("two-links", Verdict::Fail));
-    assert!(last.why.contains("since `reconnect`"), "{}", last.why);
+    assert!(last.why.contains("since the check `reconnect`"), "{}", last.why);
     assert!(!examined.at_rest);
 }
 
@@ -299,7 +299,7 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
     session.run(&["conformance", "tcp://127.0.0.1:1"]).says(1, &["no connection to 127.0.0.1:1"]);
     session
         .run(&["conformance", "--list"])
-        .says(0, &["lease-noise", "A line that is not a message renews nothing."]);
+        .says(0, &["lease-noise", "A line that is not a message does not renew the lease."]);
 }
 
 #[test]

@@ -88,7 +88,7 @@ fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resu
     session.file("fleet.yaml", fleet);
     if rustix::process::geteuid().is_root() {
         std::os::unix::fs::chown(session.path("fleet.yaml"), Some(65_534), None).unwrap();
-        there(&["resume"]).says(4, &["names programs to start, but other users own it or can write to it"]);
+        there(&["resume"]).says(4, &["names programs to start, but is owned or writable by other users"]);
         assert_eq!(driven(), before, "the resume started it");
     }
     let named = session.path("fleet.yaml");
@@ -259,7 +259,7 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
     session.file("fleet.yaml", &fleet).file("play.yaml", play(20));
     let line = "set `latency: {left: 42ms, right: 42ms}` in the fleet file";
     let declares =
-        ["its declared latency differs from the compensated one: `left` 42 ms instead of 0 ms", line];
+        ["its declared latency differs from the compensated latency: `left` 42 ms instead of 0 ms", line];
     session.run(&["preflight", "play.yaml"]).says(0, &declares);
     session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &[&["play: done"][..], &declares].concat());
     assert_eq!(driven(), "left=1 right=2\nleft=20 right=3\nleft=0\n");
@@ -324,7 +324,10 @@ fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_a
     let (ran, said) = one_value(66);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     // The edge waits for an answer as long as the mission waits for the end, so either may be the first to give up.
-    let why = ["the hardware may not have accepted the last value", "no report of the end of `left`"];
+    let why = [
+        "the hardware may not have accepted the last value",
+        "no report about the end of the script on `left`",
+    ];
     assert!(why.iter().any(|why| ran.text().contains(why)), "{}", ran.text());
     assert!(said.contains("did not answer `set left position 66` within 1 s"), "{said}");
 }
@@ -383,7 +386,7 @@ fn a_program_that_takes_longer_than_ten_seconds_to_start_drives_a_robot_of_the_f
     assert_eq!(std::fs::read_to_string(session.path("driven.txt")).unwrap(), "left 20\n");
     session.run(&run).says(1, &["did not answer `init", "within 10 s"]);
     let refused = session.run(&["run", "play.yaml", "--driver-start-timeout", "1h"]);
-    refused.says(2, &["'1h' for '--driver-start-timeout <TIME>': expected 10ms to 600s"]);
+    refused.says(2, &["'1h' for '--driver-start-timeout <TIME>': expected a time from 10ms to 600s"]);
 }
 
 #[test]

@@ -174,8 +174,8 @@ fn a_robot_that_does_not_list_the_encoding_is_refused_and_never_hears_it() {
     fleet(&session, "full", [port, robots[1].port]);
     let says = [
         "r0",
-        "it does not support the encoding `msgpack`, which the fleet file requires (besides JSON: `cbor`)",
-        "every robot supports `encoding: json`",
+        "it does not support the encoding `msgpack`, which the fleet file requires (it supports, besides JSON: `cbor`)",
+        "use `encoding: json`, which every robot supports",
     ];
     session.run(&["preflight", "test.yaml"]).says(1, &says);
     session.run(&["run", "test.yaml"]).says(1, &says);

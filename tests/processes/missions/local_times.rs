@@ -68,7 +68,7 @@ fn a_start_that_clocks_skip_is_refused_with_the_nearest_times() {
     for command in ["run", "preflight"] {
         let ran = run_in(&zone, &session, &[command, "evening.yaml"]);
         ran.says(1, &parts);
-        ran.says(1, &["evening.yaml: act `finale` waits for a time: "]);
+        ran.says(1, &["evening.yaml: act `finale` cannot wait for its time of day: "]);
     }
 }
 

@@ -95,8 +95,8 @@ fn the_operator_lets_an_act_begin_from_another_terminal() {
     session.run(&["missions"]).says(0, &["running", "2 robots"]);
     session.run(&["go"]).says(0, &[]);
     finished(child).says(0, &["evening: done", "finale"]);
-    session.run(&["missions"]).says(0, &["no mission runs"]);
-    session.run(&["go"]).says(2, &["no mission runs"]);
+    session.run(&["missions"]).says(0, &["no mission is running"]);
+    session.run(&["go"]).says(2, &["no mission is running"]);
 }
 
 #[test]
@@ -141,7 +141,8 @@ fn at_another_speed_limits_are_checked_again() {
         "robots:\n  left: {init: arm.yaml, address: sim, limits: {shoulder: {speed: 60}}}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
     );
     session.run(&["dry-run", "evening.yaml", "--speed", "1.1"]).says(0, &["done"]);
-    let too_fast = ["robot `left` device `shoulder` can move at most 1.200 times as fast as written (act `"];
+    let too_fast =
+        ["robot `left`, device `shoulder`: it can move at most 1.200 times as fast as written (act `"];
     session.run(&["dry-run", "evening.yaml", "--speed", "2"]).says(1, &too_fast);
 }
 
@@ -161,7 +162,7 @@ fn preflight_shows_every_robot_and_what_is_wrong() {
         1,
         &[
             "not ready",
-            "right sensors: `battery` reads 50, the fleet file requires within 60 and 100",
+            "right sensors: `battery` reads 50, but the fleet file requires within 60 and 100",
             "FAILURE",
         ],
     );
@@ -179,7 +180,9 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     let session = evening("wait: operator");
     let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
-    session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission `evening@", "robot `right`"]);
+    session
+        .run(&["run", "evening.yaml"])
+        .says(1, &["robot `left` already takes part in the running mission `evening@", "robot `right`"]);
     // A scheduler on another machine, without the journal of the first mission, learns of it from the robots.
     let mut elsewhere = session.command(&["run", "evening.yaml"]);
     let elsewhere = Ran(elsewhere.env("DOWNBEAT_STATE", session.path("elsewhere")).output().unwrap());
@@ -234,7 +237,7 @@ fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
     drop(child);
     session.run(&["missions"]).says(0, &["cut off"]);
     session.run(&["resume"]).says(0, &["long: done", "2/2"]);
-    session.run(&["missions"]).says(0, &["no mission runs"]);
+    session.run(&["missions"]).says(0, &["no mission is running"]);
 }
 
 #[test]
@@ -347,7 +350,7 @@ fn a_late_joiner_that_would_jump_is_left_out_and_does_not_move() {
     let (left, right) = ports(&session);
     let _left = robot(&session, "left", left);
     let ran = joins_late(&session, "arm.yaml", right);
-    ran.says(5, &["right: device `shoulder` is at 0, its first keyframe in the act `finale` expects 20"]);
+    ran.says(5, &["right: device `shoulder` is at 0, but its first keyframe in the act `finale` expects 20"]);
     assert_eq!(std::fs::read_to_string(session.path("right.jsonl")).unwrap(), "");
 }
 
@@ -403,7 +406,9 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
     let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml", "--only", "left"], "waits for the operator's go");
     session.run(&["run", "evening.yaml", "--only", "right", "--act", "opening"]).says(0, &["done"]);
-    session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission"]);
+    session
+        .run(&["run", "evening.yaml"])
+        .says(1, &["robot `left` already takes part in the running mission"]);
     session.run(&["stop"]).says(0, &["left: stop confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
 }

@@ -77,7 +77,7 @@ fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_no_line_says_that_clocks
 #[test]
 fn a_ping_fails_for_a_clock_that_is_off_and_says_what_would_do() {
     let off = session(SIM, A_MINUTE_AHEAD);
-    off.run(&["fleet", "ping"]).says(1, &["clock off by more than 10 ms", "60 s"]);
+    off.run(&["fleet", "ping"]).says(1, &["its clock is off by more than 10 ms", "60 s"]);
     off.run(&["fleet", "ping", "--tolerance", "2m"]).says(0, &["60 s"]);
     let mut command = off.command(&["fleet", "ping"]);
     let coloured = Ran(command.env("CLICOLOR_FORCE", "1").output().unwrap());

@@ -53,7 +53,7 @@ fn a_start_at_which_a_device_would_jump_is_refused_and_moves_nothing() {
         let refused = stage.run(&[command, "back.yaml"]);
         assert_eq!(refused.code, Some(1), "{refused}");
         let said = format!("{}{}", refused.out, refused.told);
-        assert!(said.contains("`joint` is at 80, its first keyframe expects 0"), "{refused}");
+        assert!(said.contains("`joint` is at 80, but its first keyframe expects 0"), "{refused}");
         assert!(said.contains("--approach"), "{refused}");
     }
     for (robot, before) in stage.robots.iter().zip(before) {

@@ -76,7 +76,7 @@ fn steps_that_were_later_than_is_tolerated_are_named_and_are_no_success() {
     let headline = ended.out.starts_with("play: played to the end, but steps were up to ");
     assert!(headline && ended.out.contains("start_tolerance is 100 ms"), "{ended}");
     let line = ended.out.lines().find(|line| line.starts_with("r1: "));
-    assert!(line.is_some_and(|line| line.contains(" of `d` late by more than 1 ms, ")), "{ended}");
+    assert!(line.is_some_and(|line| line.contains(" of `d` more than 1 ms late, ")), "{ended}");
 }
 
 /// Freezes the second robot once both have set this number of values, and stops the mission by Ctrl-C. Checks that the report states no

@@ -64,9 +64,9 @@ fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
     let (site, mut playing) = anna_waits();
     let session = &site.session;
     go(session, "keys/operators/bert.pem")
-        .says(1, &["operator bert may observe, but a go requires the role drive"]);
+        .says(1, &["operator bert has the role observe, but a go requires the role drive"]);
     go(session, "keys/operators/dora.pem")
-        .says(1, &["operator dora may stop, but a go requires the role drive"]);
+        .says(1, &["operator dora has the role stop, but a go requires the role drive"]);
     go(session, "keys/operators/fay.pem").says(1, &["its certificate is not valid here", "evoked"]);
     go(session, "others/operators/dora.pem").says(1, &["its certificate is not valid here"]);
     go(session, "keys/operators/nobody.pem").says(1, &["nobody.pem"]);
@@ -80,8 +80,11 @@ fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
     }
     let moved = site.moved();
     for (identity, reason) in [
-        ("keys/operators/bert.pem", "operator bert may observe, but a stop requires the role stop"),
-        ("keys/operators/cleo.pem", "operator cleo may observe, drive, but a stop requires the role stop"),
+        ("keys/operators/bert.pem", "operator bert has the role observe, but a stop requires the role stop"),
+        (
+            "keys/operators/cleo.pem",
+            "operator cleo has the roles observe, drive, but a stop requires the role stop",
+        ),
         ("keys/robots/r0.pem", "its certificate is not valid here"),
         ("others/operators/dora.pem", "its certificate is not valid here"),
     ] {

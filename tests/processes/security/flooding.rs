@@ -128,7 +128,7 @@ fn an_answer_to_a_question_that_was_never_asked_delays_nobody() {
     let failures = failures_of(&report, "r0");
     let text = failures[0]["text"].as_str().unwrap();
     assert!(
-        text.contains("(answers ignored because they answer no request or have impossible times: "),
+        text.contains("(answers ignored because they match no request or have impossible times: "),
         "{ended}"
     );
     assert!(failures_of(&report, "r1").is_empty(), "{ended}");

@@ -1,5 +1,5 @@
-//! Robots that share a secret with their authority, as processes: Downbeat's own, and the one to copy in C. No attempt of others moves
-//! anything.
+//! Robots that share a secret with their authority: Downbeat's own, and the example robot in C that users copy. Each is a process. Nobody
+//! else's attempt moves anything.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -31,16 +31,18 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
 
     // Without the role.
     fleet("bert");
-    site.refused(&["operator bert may observe, but this requires the role drive"]);
+    site.refused(&["operator bert has the role observe, but this requires the role drive"]);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
     fleet("dora");
-    site.refused(&["operator dora may stop, but this requires the role drive"]);
+    site.refused(&["operator dora has the role stop, but this requires the role drive"]);
 
     // With roles that the pass does not prove.
     let own = std::fs::read_to_string(passes("bert")).unwrap();
     std::fs::write(passes("bert"), own.replace(" observe ", " observe,drive ")).unwrap();
     fleet("bert");
-    site.refused(&["the robot does not have the secret of your pass: copy its secret to it"]);
+    site.refused(&[
+        "the robot does not have the secret that matches your pass: copy the robot's secret file to it",
+    ]);
     std::fs::write(passes("bert"), own).unwrap();
 
     // Another robot than the intended one.
@@ -66,7 +68,7 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     };
     site.list("others/revoked.pem");
     other(&["run", "test.yaml", "--patience", "3s"])
-        .says(1, &["the robot does not have the secret of your pass"]);
+        .says(1, &["the robot does not have the secret that matches your pass"]);
     // Without a pass for one of them.
     site.session.run(&["keys", "revoke", "r1", "--keys", "others"]).says(0, &["revoked 1"]);
     other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["you have no pass for robot r1"]);
@@ -86,16 +88,16 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     site.session.file("keys/operators/cleo.passes", copy);
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(passes("cleo"), private).unwrap();
-    site.refused(&["your pass is revoked"]);
+    site.refused(&["your pass has been revoked"]);
 
     assert_eq!(site.moved(), moved);
-    assert!(site.logged(0).contains("a peer that does not prove its identity is disconnected"));
+    assert!(site.logged(0).contains("a peer was disconnected because it did not prove its identity"));
     fleet("anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
 }
 
-/// Runs the conformance test on one of the robots.
+/// Runs the conformance test on the first robot, for the requirements about proofs and sessions and for `requirement`. All have to pass.
 fn conforms(site: &Site, requirement: &str) {
     let only = format!("no-plain,proven-in-time,altered,repeated,reordered,roles,session,{requirement}");
     let address = &site.addresses("hmac")[0];
@@ -167,7 +169,7 @@ fn simulated_robots_of_a_fleet_have_their_secrets_too_and_passes_that_end_soon_a
     session.run(&["keys", "list"]).says(0, &["has a secret"]);
 }
 
-/// Builds a program of the starter's folder.
+/// Compiles a C program from the folder of the starter (the example robot that users copy). Returns its path.
 fn built(session: &Session, program: &str) -> PathBuf {
     let from = root().join("robot/starters/c");
     let built = session.path(program);
@@ -200,8 +202,9 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     operators.scenario("long", "60s");
     by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
     by("bert", &["run", "short.yaml"])
-        .says(1, &["operator bert may observe, but this requires the role drive"]);
-    by("dora", &["run", "short.yaml"]).says(1, &["operator dora may stop, but this requires the role drive"]);
+        .says(1, &["operator bert has the role observe, but this requires the role drive"]);
+    by("dora", &["run", "short.yaml"])
+        .says(1, &["operator dora has the role stop, but this requires the role drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-2"]);
     session
         .run(&["run", "short.yaml"])
@@ -223,19 +226,20 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     // The authority has made another secret, which the robot does not have.
     let passes = std::fs::read(session.path("keys/operators/anna.passes")).unwrap();
     session.run(&["keys", "secret", "--renew", "arm-2"]).says(0, &[]);
-    by("anna", &["run", "short.yaml"]).says(1, &["the robot does not have the secret of your pass"]);
+    by("anna", &["run", "short.yaml"])
+        .says(1, &["the robot does not have the secret that matches your pass"]);
 
     // Revoked while the robot continues to run.
     session.run(&["keys", "revoke", "--operator", "anna"]).says(0, &[]);
     session.file("keys/operators/anna.passes", &passes);
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(session.path("keys/operators/anna.passes"), private).unwrap();
-    by("anna", &["run", "short.yaml"]).says(1, &["your pass is revoked"]);
+    by("anna", &["run", "short.yaml"]).says(1, &["your pass has been revoked"]);
     let logged = std::fs::read_to_string(session.path("err")).unwrap();
-    assert!(logged.contains("a peer that does not prove its identity is disconnected"), "{logged}");
+    assert!(logged.contains("a peer was disconnected because it did not prove its identity"), "{logged}");
 }
 
-/// An operator that exchanges lines with a robot.
+/// The authenticated connection of an operator to a robot.
 struct Spoken {
     socket: TcpStream,
     sealing: Sealing,
@@ -263,7 +267,7 @@ impl Spoken {
         Self { socket, sealing, opening, heard: Vec::new() }
     }
 
-    /// Sends a line and returns the answer.
+    /// Sends a line, and returns the next line from the robot.
     fn says(&mut self, line: &str) -> String {
         let mut records = Vec::new();
         self.sealing.seal(format!("{line}\n").as_bytes(), &mut records);

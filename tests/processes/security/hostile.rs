@@ -81,7 +81,7 @@ fn no_robot_moves_when_one_describes_itself_beyond_the_limits() {
         devices.join(",")
     );
     check_refused(block, "32001 devices, expected 1 to 32000");
-    check_refused("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes");
+    check_refused("x".repeat(17 * 1024 * 1024), "the line is too long, expected at most 16777216 bytes");
     check_refused(r#"{"initialization_block":"#.repeat(100_000), "invalid JSON at column");
 }
 

@@ -1,4 +1,4 @@
-//! Who may move a robot, and what strangers can do.
+//! Tests of who may move a robot, and of what strangers can do.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 

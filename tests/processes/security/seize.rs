@@ -1,4 +1,4 @@
-//! An operator takes robots from the mission of another, by processes and TLS.
+//! An operator takes over (seizes) robots from another operator's mission, with processes and TLS or shared secrets.
 
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -9,12 +9,12 @@ use stage::operators::{Operators, fails_with};
 use stage::session::{ARM, Ran, Session};
 use stage::site::Site;
 
-/// Anna's scenario: the arms go up and stay there for a minute.
+/// The scenario of the operator Anna: the arms go up and stay there for a minute.
 const LONG: &str = "scenario: long
 start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
 ";
-/// Eva's scenario: to another place.
+/// The scenario of the operator Eva: the arms go to other positions than in Anna's scenario.
 const OTHER: &str = "scenario: other
 start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 100ms, to: 30}, {at: 400ms, to: 20}]}}]
@@ -37,7 +37,7 @@ pub fn anna_plays(scheme: &'static str) -> (Site, Child) {
     (site, playing)
 }
 
-/// Runs a command as this operator, on a machine of its own.
+/// Runs a command as this operator, with a state folder of its own as on another machine.
 fn by(session: &Session, operator: &str, args: &[&str]) -> Ran {
     let mut command = session.command(args);
     command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem"));
@@ -63,12 +63,12 @@ fn robots_are_taken(scheme: &'static str) {
     let moved = site.moved();
     let session = &site.session;
     by(session, "bert", &["preflight", "other.yaml"])
-        .says(1, &["bert may observe, but this requires the role drive"]);
+        .says(1, &["bert has the role observe, but this requires the role drive"]);
     by(session, "cleo", &["preflight", "other.yaml"])
         .says(1, &["belongs to another session", "`seize`", "run --seize"]);
     by(session, "cleo", &["run", "other.yaml"]).says(1, &["belongs to another session", "run --seize"]);
     by(session, "cleo", &["run", "other.yaml", "--seize"])
-        .says(1, &["operator cleo may observe, drive, but this requires the role seize"]);
+        .says(1, &["operator cleo has the roles observe, drive, but this requires the role seize"]);
     // Without `--seize`, Eva seizes no robot; with it, none for a mission that would not start.
     by(session, "eva", &["run", "other.yaml"]).says(1, &["belongs to another session"]);
     let fleet = said(&site, "fleet.yaml");
@@ -118,7 +118,8 @@ fn robots_are_taken(scheme: &'static str) {
     }
     assert!(failures.iter().any(|f| f.to_string().contains("taken by operator eva")), "{report}");
     assert!(
-        said(&site, "r0.log").contains("operator cleo may observe, drive, but this requires the role seize")
+        said(&site, "r0.log")
+            .contains("operator cleo has the roles observe, drive, but this requires the role seize")
     );
     // Afterwards Anna can play again, once Eva has gone.
     site.session.run(&["run", "test.yaml", "--approach", "1s"]).says(0, &["test: done"]);
@@ -148,7 +149,7 @@ fn the_robot_to_copy_in_python_is_seized_by_who_may() {
     operators.scenario("short", "400ms");
     let mut playing = operators.playing("anna", "long.yaml");
     by(session, "cleo", &["run", "short.yaml", "--seize"])
-        .says(1, &["operator cleo may drive, observe, but this requires the role seize"]);
+        .says(1, &["operator cleo has the roles drive, observe, but this requires the role seize"]);
     assert!(playing.try_wait().unwrap().is_none(), "anna's mission continues");
     by(session, "eva", &["run", "short.yaml", "--seize"]).says(0, &["short: done"]);
     fails_with(playing, "taken by operator eva");

@@ -1,5 +1,5 @@
-//! Only permitted operators move a robot: robots as processes that accept only operators of their authority, and every attempt of
-//! others, which moves nothing.
+//! Robots as processes that accept only operators of their authority. Permitted operators move them, and no attempt of others moves
+//! anything.
 
 use std::process::Stdio;
 
@@ -30,10 +30,10 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
 
     // Without the role.
     site.fleet(&site.addresses("tls"), "bert");
-    site.refused(&["operator bert may observe, but this requires the role drive"]);
+    site.refused(&["operator bert has the role observe, but this requires the role drive"]);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
     site.fleet(&site.addresses("tls"), "dora");
-    site.refused(&["operator dora may stop, but this requires the role drive"]);
+    site.refused(&["operator dora has the role stop, but this requires the role drive"]);
 
     // Another robot than the intended one.
     let mut swapped = site.addresses("tls");
@@ -73,7 +73,7 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
     site.fleet(&site.addresses("tls"), "cleo");
     site.refused(&["revoked"]);
     assert_eq!(site.moved(), moved);
-    assert!(site.logged(0).contains("a peer that does not prove its identity is disconnected"));
+    assert!(site.logged(0).contains("a peer was disconnected because it did not prove its identity"));
     site.fleet(&site.addresses("tls"), "anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
@@ -84,7 +84,7 @@ fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
     let session = Session::new();
     let listen = format!("0.0.0.0:{}", free_port());
     let args = ["robot", "--init", "arm.yaml", "--listen", &listen];
-    session.run(&args).says(2, &["anyone who reaches", "--identity", "--insecure"]);
+    session.run(&args).says(2, &["anyone who can reach", "--identity", "--insecure"]);
     let mut insecure = session.command(&args).arg("--insecure").stdout(Stdio::piped()).spawn().unwrap();
     listens(&mut insecure);
     let mut insecure = Process(insecure);
@@ -94,7 +94,7 @@ fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
     session.run(&["keys", "robot", "other"]).says(0, &[]);
     let mut command = session.command(&args);
     let ran = Ran(command.args(["--identity", "keys/robots/other.pem"]).output().unwrap());
-    ran.says(2, &["this is the identity of robot other, expected robot arm"]);
+    ran.says(2, &["this is the identity of robot other, expected that of robot arm"]);
 }
 
 #[test]
@@ -184,7 +184,10 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
     std::thread::sleep(std::time::Duration::from_millis(1_100));
     session.run(&["preflight", "s.yaml"]).says(
         0,
-        &["its certificate expires in 11 days: `downbeat keys renew arm`", "operator anna expires in 8 days"],
+        &[
+            "its certificate expires in 11 days: make a new one with `downbeat keys renew arm`",
+            "operator anna expires in 8 days",
+        ],
     );
     session.run(&["keys", "list"]).says(0, &["valid for 11 days", "valid for 8 days"]);
 }
@@ -204,7 +207,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     operators.scenario("long", "60s");
     by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
     by("bert", &["run", "short.yaml"])
-        .says(1, &["operator bert may observe, but this requires the role drive"]);
+        .says(1, &["operator bert has the role observe, but this requires the role drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
     let conformance =
         ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
@@ -225,7 +228,7 @@ fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_move
     on_the_way(&site, Wire::Tls, 2);
 }
 
-/// Starts a robot whose TLS requests no certificate: it answers the first line of each connection.
+/// Starts a robot that requests no certificate by TLS, and answers the first line of each connection. Returns its address.
 fn asks_nobody(identity: &std::path::Path) -> std::net::SocketAddr {
     use std::io::{BufRead, BufReader, Write};
 

@@ -81,7 +81,7 @@ fn of_two_stops_within_a_moment_the_later_one_counts() {
         let home = stage.start(&["stop", "--home"]).ended();
         match home.code {
             // The mission had already ended.
-            Some(2) => says(&home, 2, &["no mission runs or was cut off"]),
+            Some(2) => says(&home, 2, &["no mission is running or was cut off"]),
             _ => says(&home, 0, &["r0: default state confirmed", "r1: default state confirmed"]),
         }
         says(&first.ended(), 0, &[]);
@@ -150,12 +150,12 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
     says(
         &first,
         4,
-        &["r0: stop confirmed", "r1: stop NOT confirmed; it has no lease, so it does not stop by itself"],
+        &["r0: stop confirmed", "r1: stop NOT confirmed; it has no lease, so it will not stop by itself"],
     );
     stage.robots[1].thaw();
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
-    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+    says(&stage.run(&["stop"]), 2, &["no mission is running or was cut off"]);
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
     let args = ["stop", name, "--forget", "--patience", "500ms"];
     let forgotten = "forgotten: the mission is considered ended, although r0 has not confirmed its stop";
     says(&stage.run(&args), 4, &["r0: stop NOT confirmed", forgotten]);
-    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+    says(&stage.run(&["stop"]), 2, &["no mission is running or was cut off"]);
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
     let mut mission = stage.start_until(&["run", "long.yaml"], "starting `");
     mission.process.kill();
     says(&stage.run(&["stop"]), 0, &["s: was simulated in the scheduler's own process"]);
-    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+    says(&stage.run(&["stop"]), 2, &["no mission is running or was cut off"]);
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
         let mut journal = std::fs::read(folder.join("journal")).unwrap();
         damage(&mut journal);
         std::fs::write(folder.join("journal"), journal).unwrap();
-        says(&stage.run(&["missions"]), 0, &["cannot be read", "no other mission runs"]);
+        says(&stage.run(&["missions"]), 0, &["cannot be read", "no other mission is running"]);
         let stopped = stage.run(&["stop"]);
         says(&stopped, 1, &["r0: stop confirmed"]);
         assert_eq!(mission.ended().code, Some(3));
@@ -337,7 +337,7 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
     let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     mission.process.signal(Signal::STOP);
     let began = Instant::now();
-    let sent = "was sent SIGTERM; if it continues, it will end";
+    let sent = "was sent SIGTERM, so it will end if it continues";
     says(&stage.run(&["stop"]), 0, &["no answer within 1 s", sent, BOTH[0], BOTH[1]]);
     assert!(began.elapsed() < Duration::from_secs(20));
     all_rest(&stage);
@@ -355,7 +355,7 @@ fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
     for folder in std::fs::read_dir(stage.path("state")).unwrap() {
         std::fs::remove_file(folder.unwrap().path().join("control")).unwrap();
     }
-    says(&stage.run(&["go"]), 1, &["no process listens"]);
+    says(&stage.run(&["go"]), 1, &["no process is listening"]);
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
     assert_ne!(mission.ended().code, Some(0));
@@ -395,7 +395,7 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
     let mut mission = stage.begin(&["run", "acts.yaml"], [0], 2);
     says(&stage.run(&["go"]), 1, &["`two` waits until `one` has ended"]);
-    says(&stage.run(&["go", "one"]), 1, &["`one` does not wait for the operator now"]);
+    says(&stage.run(&["go", "one"]), 1, &["`one` is not waiting for the operator"]);
     says(&stage.run(&["go", "three"]), 1, &["unknown act `three`"]);
     mission.line("`two` waits for the operator's go");
     // Printed once the previous act has ended, and not while it plays.
@@ -479,7 +479,7 @@ fn taken_over() -> (Stage, String, Running) {
 fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was_cut_off() {
     let (stage, old, new) = taken_over();
     let stopped = stage.run(&["stop", &old, "--patience", "1s"]);
-    let taken = ["r0: not stopped: another mission already drives it", "r0: belongs to another session"];
+    let taken = ["r0: not stopped: another mission now drives it", "r0: belongs to another session"];
     let taken = taken.map(|part| part.replace("r0: belongs", "`r0` belongs"));
     says(&stopped, 4, &[&taken[0], &taken[1]]);
     assert!(!stopped.out.contains("lease"), "{stopped}");

@@ -13,7 +13,7 @@ const REASONS: [(&str, &str); 8] = [
     ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),
     ("played to the end, but steps were up to", "late steps of a robot on this machine"),
     ("\"steps_late\":{\"late_ms\"", "late steps of a robot on this machine"),
-    ("the link to it is too slow", "failure `too_slow` on a link of this machine"),
+    ("the link to the robot is too slow", "failure `too_slow` on a link of this machine"),
     ("\"failure\":\"too_slow\"", "failure `too_slow` on a link of this machine"),
 ];
 

@@ -1,4 +1,4 @@
-//! Three robots with keys, and operators whose certificates permit different actions.
+//! A site of three robots with keys, and operators whose certificates permit different actions.
 
 use std::process::{Child, Command, Stdio};
 
@@ -122,7 +122,7 @@ impl Site {
         (0..3).map(moved).sum()
     }
 
-    /// Runs the mission. Checks that it is refused with `words` and that nothing moves.
+    /// Runs the mission of the site. Checks that it is refused with the message `words` and that nothing moves.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) {
         let before = self.moved();
@@ -147,7 +147,8 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, t
 {at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 45}]}}]
 ";
 
-/// Plays missions while the messages to one robot are manipulated.
+/// Plays missions while a tamperer manipulates the messages to one robot. `long_record` is the number of the manipulated record among the
+/// long ones.
 pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     let meddler = Tamperer::to(site.ports[1], wire, long_record);
     let mut addresses = site.addresses(site.scheme);
@@ -171,13 +172,13 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         }
         assert!(meddler.done() > 0, "{deed:?}");
         let logged = site.logged(1).split_off(logged);
-        assert!(logged.contains("altered, repeated or reordered data"), "{deed:?}: {logged}");
+        assert!(logged.contains("its data was altered, repeated or reordered"), "{deed:?}: {logged}");
     }
     // Sends the bytes of an earlier connection again.
     let before = site.moved();
     assert!(meddler.said_again().is_empty() || site.scheme == "tls");
     let begun = std::time::Instant::now();
-    while !site.logged(1).contains("does not prove its identity") {
+    while !site.logged(1).contains("it did not prove its identity") {
         assert!(begun.elapsed().as_secs() < 10, "{}", site.logged(1));
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
@@ -186,7 +187,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     site.run().says(0, &["test: done"]);
 }
 
-/// Starts the robot of the Python starter with the keys of `arm-1`. Returns its process and its address.
+/// Starts the Python starter (an example robot that users copy) with the keys of `arm-1`. Returns its process and its address.
 pub fn python_robot(session: &Session) -> (Process, String) {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let robot = root().join("robot/starters/python/robot.py");

@@ -176,7 +176,7 @@ fn a_driver_that_says_too_much_of_scripts_at_a_time_has_failed() {
     assert_eq!([next(&mailbox), next(&mailbox)], ["10000 words", "nothing"]);
     (0..=WORDS_MAX).for_each(|_| mailbox.told_of_plan(word(1)));
     assert_eq!(next(&mailbox), "10000 words");
-    assert_eq!(next(&mailbox), "fault: it sent more than 10000 reports about scripts at a time");
+    assert_eq!(next(&mailbox), "fault: the driver sent more than 10000 reports about scripts at once");
 }
 
 #[test]

@@ -379,7 +379,7 @@ async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
         .watched(move |event| tell.send(event.to_string()).unwrap());
     let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
     let next = || events.recv_timeout(Duration::from_secs(60)).unwrap();
-    assert_eq!(next(), "the hardware answers");
+    assert_eq!(next(), "the hardware is responding");
     bench.broken.store(true, Ordering::SeqCst);
     assert_eq!(next(), "the hardware is not available: pulled out");
     host.stop();

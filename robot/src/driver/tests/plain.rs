@@ -50,7 +50,7 @@ fn a_driver_by_default_is_told_values_alone_one_after_another() {
     let part = empty_plan(&arm());
     let (then, why) = (crate::Then::Keep, String::new());
     let cancel = PlanCancel { plan: part.plan, device: arm(), then, why };
-    let timed = Err(DriverError::Refused("this driver does not time scripts".to_owned()));
+    let timed = Err(DriverError::Refused("this driver cannot play scripts by itself".to_owned()));
     assert_eq!([plain.plan(&part), plain.cancel(&cancel)], [timed.clone(), timed]);
 }
 

@@ -263,7 +263,7 @@ fn take(first: usize, due: i64) -> mailbox::Order {
 
 #[test]
 fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
-    let refused = "this driver does not time scripts";
+    let refused = "this driver cannot play scripts by itself";
     let late = "s too late to be played";
     // A first step must not start too late. A later step may be an hour late.
     for (first, due, expected) in [
@@ -327,8 +327,9 @@ fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
             refused if refused.starts_with("refused") => {}
             _ => mailbox.close(),
         });
-        let expected =
-            format!("the hardware reports a fault: it reported plan {plan}, which it does not have");
+        let expected = format!(
+            "the hardware reports a fault: the driver reported on plan {plan}, which it never received"
+        );
         assert_eq!(news.get(2), Some(&expected), "{news:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Tests inquiries, which cannot act.
+//! Tests inquiries: messages that ask for states, and that start, stop, move and claim nothing.
 
 use urrcp::{DeviceReport, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 

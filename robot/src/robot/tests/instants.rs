@@ -1,4 +1,4 @@
-//! Tests events at the same instant, the leases that apply, and the responses that are remembered.
+//! Tests events that occur at the same time, the leases that apply, and the responses that are remembered.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -537,7 +537,8 @@ fn a_stop_turns_no_wheel_that_no_command_has_driven_whatever_its_default_state()
     assert_eq!(stop(true).1, [0.0, 4.0, 8.0], "home within its acceleration");
 }
 
-/// Returns the outcome of a script of the arm for which the robot wakes up `nanos` too late.
+/// Returns the statuses and the number of late steps that a robot reports for a script if it wakes up `nanos` nanoseconds after the
+/// start.
 fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 45.0), (1_000.0, 0.0)])));

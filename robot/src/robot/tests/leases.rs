@@ -15,7 +15,7 @@ fn the_end_of_a_lease_names_the_lease_and_a_delay_of_the_robot_itself() {
     for (start, lease_of) in [(0.0, "running"), (1_000.0, "pending")] {
         for (woke, why) in [
             (350, "ended: the server was silent"),
-            (351, "ended while the robot was delayed: it woke up 51 ms"),
+            (351, "ended while the robot was delayed: the robot woke up 51 ms"),
         ] {
             let mut bench = Bench::new();
             let leased = timed("arm", "a", start, script(ControlType::Position, &PAPER));

@@ -362,11 +362,11 @@ fn what_a_driver_cannot_truly_say_is_not_reported() {
     bench.paper();
     bench.until(1_100);
     for (id, at_ms, event, why) in [
-        (P2, 1_000, PlanEvent::Began, "never handed over"),
+        (P2, 1_000, PlanEvent::Began, "never sent to the driver"),
         (P1, 1_200, PlanEvent::Began, "in the future"),
         (P1, -50, PlanEvent::Began, "before the script was accepted"),
-        (P1, 1_050, PlanEvent::Done, "it reports progress, but no start was reported"),
-        (P1, 1_050, PlanEvent::Step(0), "it reports progress, but no start was reported"),
+        (P1, 1_050, PlanEvent::Done, "progress was reported, but no start"),
+        (P1, 1_050, PlanEvent::Step(0), "progress was reported, but no start"),
     ] {
         let said = bench.says(id, at_ms, event);
         assert!(said.as_ref().is_err_and(|said| said.contains(why)), "{why}: {said:?}");
@@ -556,7 +556,7 @@ fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
     bench.hears(P1, 1_000, PlanEvent::Step(0));
     bench.hears(P1, 1_050, PlanEvent::Cancelled);
     let error = bench.last().error.as_ref().unwrap();
-    assert_eq!(error.message.to_string(), "the hardware stopped by itself in step 2");
+    assert_eq!(error.message.to_string(), "the hardware stopped on its own in step 2");
     assert_eq!(bench.cancels(), []);
 }
 
@@ -597,7 +597,8 @@ fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
     bench.until(3_100);
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     let error = bench.last().error.as_ref().unwrap();
-    let expected = "the hardware may not have played it to its end: the hardware is not available: unplugged";
+    let expected =
+        "the hardware may not have played the script to its end: the hardware is not available: unplugged";
     assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Internal, expected));
     assert_eq!(bench.cancels(), [], "there is nobody to tell");
 }
@@ -747,7 +748,11 @@ fn steps_are_named_up_to_the_last_that_was_handed_over() {
     bench.hears(P1, 1_000, PlanEvent::Began);
     // The driver has received two of the three steps.
     bench.hears(P1, 1_000, PlanEvent::Step(1));
-    assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
+    assert!(
+        bench
+            .says(P1, 1_000, PlanEvent::Step(2))
+            .is_err_and(|why| why.contains("only 2 of the script's steps had been sent to the driver"))
+    );
 }
 
 #[cfg(feature = "host")]

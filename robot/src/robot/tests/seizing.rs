@@ -8,7 +8,7 @@ use urrcp::SessionId;
 const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];
 const SEIZES: [Role; 3] = [Role::Observe, Role::Drive, Role::Seize];
 
-/// A proven name and its roles. `None` if nothing is proven.
+/// The name and the roles that a peer has proven. `None` if it has proven nothing.
 type Proven<'a> = Option<(&'a str, &'a [Role])>;
 
 fn seize(session: Option<&str>) -> Message {
@@ -21,8 +21,8 @@ fn seize(session: Option<&str>) -> Message {
     })
 }
 
-/// Returns a robot on which Anna's command for the arm runs and another one for the device `ramp` waits. The other link belongs to an
-/// operator with these roles.
+/// Returns a robot on which Anna's command for the arm is running, and her command for the device `ramp` is waiting. If `other` is not
+/// `None`, its operator is the peer of the link `OTHER`.
 fn anna_plays(other: Proven<'_>) -> Bench {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
@@ -89,15 +89,15 @@ fn who_may_not_seize_changes_nothing() {
         (
             Some(("operator bert", &DRIVES)),
             Some("bert's"),
-            "operator bert may observe, drive, but this requires the role seize",
+            "operator bert has the roles observe, drive, but this requires the role seize",
         ),
         (
             Some(("operator cleo", &[Role::Seize])),
             Some("cleo's"),
-            "operator cleo may seize, but this requires the role drive",
+            "operator cleo has the role seize, but this requires the role drive",
         ),
         (Some(("operator eva", &SEIZES)), None, "`seize` requires a `session`"),
-        (None, Some("a stranger's"), "this connection proves no role"),
+        (None, Some("a stranger's"), "this connection has not proven any role"),
     ];
     for (other, session, refusal) in attempts {
         let mut bench = anna_plays(other);

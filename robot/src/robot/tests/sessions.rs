@@ -1,4 +1,4 @@
-//! Tests the session that owns a robot, and how the robot comes to rest at a stop.
+//! Tests the session that owns a robot, and how the robot comes to rest when it is stopped.
 
 use super::*;
 use urrcp::SessionId;
@@ -287,7 +287,7 @@ fn no_session_renews_the_lease_of_another_however_many_have_been() {
     assert_eq!(bench.values(), [], "the owner was silent from 9 s on");
 }
 
-/// Returns all messages of the robot in their encoding on the wire, as text.
+/// Returns all messages that the robot has sent, encoded as on the wire, as text.
 fn all_said(bench: &Bench) -> String {
     let mut bytes = Vec::new();
     for output in &bench.out {
@@ -402,7 +402,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     bench.send_on(LINK, Message::ControlRequest(sent_at("early", 240)));
     assert_eq!(
         bench.last_said(),
-        "1 Failed it was cancelled by a stop that arrived before it",
+        "1 Failed the command was cancelled by a stop that arrived before it",
         "clocks may differ by this much"
     );
     bench.send_on(LINK, Message::ControlRequest(sent_at("a", 260)));
@@ -412,7 +412,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     bench.send_on(LINK, of("show", sent_at("b", 0)));
     assert_eq!(
         bench.last_said(),
-        "1 Failed it was cancelled by a stop that arrived before it",
+        "1 Failed the command was cancelled by a stop that arrived before it",
         "it may have been sent before the stop"
     );
     bench.send_on(LINK, of("show", sent_at("c", 11)));
@@ -429,7 +429,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     assert_eq!(bench.statuses(), ["OK", "Failed cancelled"]);
 }
 
-/// Checks the robot's response to a script of the arm with this start, end and lease.
+/// Checks the robot's response to a script for the arm. `start_ms` is the delay of the start, and `last_ms` the offset of the last step.
 #[track_caller]
 fn check_reach(start_ms: f64, last_ms: f64, lease: Option<StopCondition>, expected: &str) {
     let mut bench = Bench::new();
@@ -465,7 +465,7 @@ fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_i
     assert_eq!(bench.statuses()[..2], ["Accepted", "Accepted"]);
 }
 
-/// Returns the proof of an operator with these roles.
+/// Returns the input that proves the name and the roles of an operator.
 pub(super) fn operator(name: &str, roles: &[Role]) -> Input {
     let roles = roles.iter().copied().collect();
     // Each operator has one key, whose serial number is its name.
@@ -583,8 +583,8 @@ fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question(
 #[test]
 fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
     for (roles, expected) in [
-        (&[Role::Stop][..], "1 Failed anna may stop, but this requires the role drive"),
-        (&[], "1 Failed anna may do nothing, but this requires the role drive"),
+        (&[Role::Stop][..], "1 Failed anna has the role stop, but this requires the role drive"),
+        (&[], "1 Failed anna has no role, but this requires the role drive"),
     ] {
         let mut bench = Bench::new();
         bench.robot.handle(bench.now, LINK, operator("anna", roles), &mut bench.out);
@@ -648,7 +648,7 @@ fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own()
 
 #[test]
 fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
-    let expected = "1 Failed anna may stop, but this requires the role observe or drive";
+    let expected = "1 Failed anna has the role stop, but this requires the role observe or drive";
     for (role, expected) in
         [(Role::Observe, "1 Provide "), (Role::Drive, "1 Provide "), (Role::Stop, expected)]
     {

@@ -1,4 +1,4 @@
-//! Tests a robot that shares a secret with operators' passes: unproven peers, and altered data.
+//! Tests a robot that admits only operators with a pass derived from its secret: peers without a proof of identity, and altered data.
 
 use super::*;
 use downbeat_sealed::{Claim, Guard, Held, RevokedSerials, Secret, connect};

@@ -20,7 +20,7 @@ const ROWS_MAX: usize = 20;
 pub fn plan_text(found: &PlanDifferences, columns: usize) -> String {
     let hash = |hash: urrcp::ContentHash| hash.to_string()[..12].to_owned();
     if found.same {
-        return format!("the same: plan {}\n", hash(found.hash.a));
+        return format!("the plans are the same: {}\n", hash(found.hash.a));
     }
     let mut text = Text { lines: String::new(), columns };
     text.say(&format!("the plans differ: {} and {}", hash(found.hash.a), hash(found.hash.b)));
@@ -48,8 +48,8 @@ pub fn run_text(found: &RunDifferences, columns: usize) -> String {
     if let Some(Change { a, b }) = &found.outcome {
         text.say(&format!("outcome: {} → {}", outcome(a.as_ref()), outcome(b.as_ref())));
     }
-    text.names("robots left out only in the first", &found.dropped_removed);
-    text.names("robots left out only in the second", &found.dropped_added);
+    text.names("robots left out only in the first run", &found.dropped_removed);
+    text.names("robots left out only in the second run", &found.dropped_added);
     let mut rows = Rows::new(&["failure", "robot", "reason"], usize::MAX);
     let failures = found.failures.removed.iter().map(|failure| ("only in the first", failure));
     let failures = failures.chain(found.failures.added.iter().map(|failure| ("only in the second", failure)));
@@ -201,7 +201,7 @@ impl Text {
         let title = format!("act {}{time}", shown(&act.act));
         if act.presence != Presence::Changed {
             let only = if act.presence == Presence::Added { "second" } else { "first" };
-            self.say(&format!("{title}: only in the {only}"));
+            self.say(&format!("{title}: only in the {only} run"));
             return;
         }
         self.say(&title);
@@ -277,11 +277,11 @@ fn cue_row(cue: &CueDifference) -> Vec<String> {
 fn device_row(device: &DeviceDifferences) -> Vec<String> {
     let what = match device.presence {
         Presence::Changed => {
-            let shifted = device.steps.shifted_by_ms.map(|by| format!("all later by {by}"));
+            let shifted = device.steps.shifted_by_ms.map(|by| format!("all steps later by {by}"));
             let shifted = shifted.or_else(|| device.divided.then(|| "divided differently".to_owned()));
             let leases = device.leases.as_ref().map(|_| "other leases".to_owned());
             let only_used = device.steps.steps.is_empty() && device.used.is_some();
-            let fitted = || only_used.then(|| "other error or budget".to_owned());
+            let fitted = || only_used.then(|| "different error or budget".to_owned());
             shifted.or(leases).or_else(fitted).unwrap_or_else(|| "changed".to_owned())
         }
         other => word(other).to_owned(),

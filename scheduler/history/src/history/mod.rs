@@ -270,7 +270,8 @@ impl History {
     fn of_journal(records: journal::Records) -> Self {
         let robots = records.opened.robots;
         let cut_off = records.torn.map(|torn| match torn.whole_after {
-            0 => format!("its last line, {}, is incomplete", torn.line),
+            0 => format!("its last line, line {}, is incomplete", torn.line),
+            1 => format!("line {} is damaged; 1 complete line after it is ignored", torn.line),
             whole => format!("line {} is damaged; {whole} complete lines after it are ignored", torn.line),
         });
         Self {

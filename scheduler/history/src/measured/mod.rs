@@ -63,14 +63,14 @@ pub struct RobotMeasured {
 pub enum NothingMeasured {
     /// The file is a journal, which contains only decisions.
     #[error(
-        "a journal contains no messages to measure delays and losses, and this one contains no clock offset; \
+        "a journal contains no messages, so delays and losses cannot be measured, and this journal contains no clock offset either; \
          record a mission with `downbeat run --record FILE`"
     )]
     Journal,
     /// The file is a recording that contains nothing to measure.
     #[error(
-        "no robot answered a question in this recording, no sensor was read and no act waited for the operator, so nothing was \
-         measured"
+        "nothing to measure: in this recording, no robot answered a request, no sensor was read and no act waited for the \
+         operator"
     )]
     Recording,
 }

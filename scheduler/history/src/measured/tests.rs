@@ -368,7 +368,7 @@ fn a_world_file_says_what_was_measured_and_how() {
         written,
         "show-2027-01-15
 links:
-  # 82 delays of 41 exchanges, each direction separately; p99 is from few samples
+  # 82 delays of 41 exchanges, each direction separately; p99 is based on few samples
   r:
     delay: {least: 5ms, p50: 5ms, p90: 5ms, p99: 5ms, largest: 5ms}
     # lost: none of 82 packets, so below 3.66% with 95 % confidence
@@ -377,11 +377,11 @@ clocks:
 sensors:
   # 3 readings; the first one applies from the beginning
   r/range: [[0s, 2], [3s, 0.4]]
-# 1 wait for the operator's go, and 1 without one
+# 1 wait for the operator's go, and 1 that received none
 operator: {go_after: 2.5s}
 incidents:
   - {robot: r, what: link_down, at: 4s, lasts: 800ms}
-  # The connection was not back by the end of the file: the robot may have failed.
+  # The connection was not restored by the end of the file: the robot may have failed.
   - {robot: r, what: link_down, at: 9s, lasts: 1.5s}
 "
     );
@@ -406,12 +406,14 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
         text_of(&history, "show.mcap")
     };
     assert!(
-        ntp(3).contains("no error was detected, but one of this size could not be\n  r: {error: 5ms}\n"),
+        ntp(3).contains(
+            "no error was detected, but an error of this size cannot be ruled out\n  r: {error: 5ms}\n"
+        ),
         "{}",
         ntp(3)
     );
     assert!(
-        ntp(-20).contains("it was certainly off, by about this much\n  r: {error: 20ms}\n"),
+        ntp(-20).contains("the clock was certainly off, by about this much\n  r: {error: 20ms}\n"),
         "{}",
         ntp(-20)
     );

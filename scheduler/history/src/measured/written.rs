@@ -49,20 +49,23 @@ fn head(measured: &Measured, file: &str) -> String {
         micros(measured.duration),
     );
     if let Some(cut_off) = &measured.cut_off {
-        text += &format!("# The file is incomplete: {}. This is the part before that.\n", scalar(cut_off));
+        text += &format!(
+            "# The file is incomplete: {}. Only the part before that was measured.\n",
+            scalar(cut_off)
+        );
     }
     text += match measured.source {
         HistorySource::Recording => {
             "#
-# Delays are one-way, from the timestamps in the answers of the robots. The least delay is assumed to be the same in both directions:
+# Delays are one-way and come from the timestamps in the answers of the robots. The least delay is assumed to be the same in both directions:
 # exchanges of timestamps cannot tell an asymmetric path from an offset of the clock (RFC 5905, section 8).
 # Packets that arrived 200 ms or more after the fastest one count as lost and sent again by TCP; a pause of the robot, of the radio or of this
-# machine looks the same. Not measured: errors of robots, and delays while no question was asked.
+# machine looks the same. Not measured: errors of robots, and delays while no request was sent.
 "
         }
         HistorySource::Journal => {
             "#
-# A journal has no messages: delays, losses, sensors and drifts were not measured.
+# A journal contains no messages: delays, losses, sensors and drifts were not measured.
 "
         }
     };
@@ -76,11 +79,13 @@ fn link(robot: &RobotId, link: &LinkMeasured) -> String {
     let delay = &link.delay;
     let way = match link.method {
         Method::EachWay => "each direction separately",
-        Method::HalfRoundTrip => "half of each round trip: its clock was set, or its resolution is coarse",
+        Method::HalfRoundTrip => {
+            "half of each round trip, because the robot's clock was set or has a coarse resolution"
+        }
     };
     let samples =
         format!("{} of {}, {way}", counted(link.samples, "delay"), counted(link.exchanges, "exchange"));
-    let few = if link.samples < SAMPLES_FOR_P99 { "; p99 is from few samples" } else { "" };
+    let few = if link.samples < SAMPLES_FOR_P99 { "; p99 is based on few samples" } else { "" };
     let mut text = format!(
         "  # {samples}{few}\n  {}:\n    delay: {{least: {}, p50: {}, p90: {}, p99: {}, largest: {}}}\n",
         scalar(robot.as_str()),
@@ -129,13 +134,13 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
             micros(uncertainty),
             counted(clock.exchanges, "exchange")
         ),
-        None => "the offset that was added to its timestamps".to_owned(),
+        None => "the clock offset that was added to the timestamps of the robot".to_owned(),
     };
     if clock.steps > 0 {
         comment += &format!(", set {} during the mission", times(clock.steps));
     }
     if let Some(error) = clock.start_error {
-        comment += &format!(", starts at most {} off by its own clock", micros(error));
+        comment += &format!(", starts up to {} off by its own clock", micros(error));
     }
     let keys = match clock.follows {
         Some(Follows::Measured) => {
@@ -150,20 +155,20 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
         }
         Some(Follows::Ntp) | None => match clock.surely_off {
             Some(off) => {
-                comment += ": it was certainly off, by about this much";
+                comment += ": the clock was certainly off, by about this much";
                 format!("error: {}", micros(off))
             }
             None => {
-                comment += ": no error was detected, but one of this size could not be";
+                comment += ": no error was detected, but an error of this size cannot be ruled out";
                 format!("error: {}", micros(clock.uncertainty.unwrap_or_default()))
             }
         },
     };
     if clock.offset.as_millis_f64().abs() > urrcp::OFFSET_MS_MAX {
-        return format!("  # {}: {comment}: out of range of a world file\n", scalar(robot.as_str()));
+        return format!("  # {}: {comment}: out of range for a world file\n", scalar(robot.as_str()));
     }
     if clock.follows.is_none() {
-        comment += "; it was sent no script, so it is assumed to follow NTP";
+        comment += "; no script was sent to the robot, so its clock is assumed to follow NTP";
     }
     format!("  # {comment}\n  {}: {{{keys}}}\n", scalar(robot.as_str()))
 }
@@ -192,7 +197,7 @@ fn operator(operator: &OperatorMeasured) -> String {
     let Some((least, most)) = waits.iter().min().zip(waits.iter().max()) else { return String::new() };
     let mut text = format!("# {} for the operator's go", counted(waits.len(), "wait"));
     if unanswered > 0 {
-        text += &format!(", and {unanswered} without one");
+        text += &format!(", and {unanswered} that received none");
     }
     text + &format!("\noperator: {{go_after: {}}}\n", from_to(*least, *most))
 }
@@ -202,7 +207,7 @@ fn incidents(robot: &RobotMeasured) -> Vec<String> {
         let note = if one.back {
             ""
         } else {
-            "  # The connection was not back by the end of the file: the robot may have failed.\n"
+            "  # The connection was not restored by the end of the file: the robot may have failed.\n"
         };
         format!(
             "{note}  - {{robot: {}, what: link_down, at: {}, lasts: {}}}\n",

@@ -111,7 +111,7 @@ fn recorded(record: &Record) -> Option<Event<'_>> {
     }
 }
 
-const CHECKED: &str = "all robots are checked";
+const CHECKED: &str = "all robots have been checked";
 const AT_REST: &str = "has confirmed its stop";
 const LEFT_OUT: &str = "is left out from now on";
 const STOPPING: &str = "everything is being stopped";
@@ -121,7 +121,7 @@ fn sent(act: &str) -> String {
 }
 
 fn decided(act: &str) -> String {
-    format!("{act} is decided: all robots have accepted")
+    format!("the start of {act} is decided: all robots have accepted it")
 }
 
 fn skipped(act: &str, fate: &ActFate) -> String {

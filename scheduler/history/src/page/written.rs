@@ -27,8 +27,8 @@ pub struct Written<'a> {
 /// The error that the given scenario is not the one that was played.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "the scenario is not the one that was played: the script of `{robot}/{device}` differs in every act; it may have changed since, or was \
-     played at a different speed"
+    "the scenario is not the one that was played: the script of `{robot}/{device}` differs in every act; the scenario may have changed since, or \
+     was played at a different speed"
 )]
 pub struct OtherScenario {
     robot: RobotId,

@@ -292,8 +292,7 @@ impl Act {
             let kind = match robots[member.robot].broken() {
                 Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
                 None if blamed => {
-                    let awaited =
-                        "confirmation shortly before the start that it holds its scripts".to_owned();
+                    let awaited = "final confirmation that it holds its scripts".to_owned();
                     FailureKind::Silent { awaited, within: now - since }
                 }
                 None => return None,

@@ -33,7 +33,7 @@ impl Act {
         }
         assert!(
             self.readings_asked <= self.written().readings.len(),
-            "{name}: it takes at most the planned readings"
+            "{name}: an act requests at most the planned readings"
         );
         assert!(
             self.readings.len() <= self.readings_asked,
@@ -64,7 +64,7 @@ impl Act {
             Stage::Deserted => {
                 assert!(
                     self.members.iter().all(|member| !member.takes_part()),
-                    "{name}: no robot is left to play it"
+                    "{name}: no robot is left to play the act"
                 );
             }
             Stage::Over => {
@@ -86,14 +86,14 @@ impl Member {
             let Chain { first, completed, unsent, end } = *chain;
             assert!(
                 first <= completed && completed <= unsent && unsent <= end,
-                "{id}: a chain is played in order: {chain:?}"
+                "{id}: the scripts of a chain are played in order: {chain:?}"
             );
             let scripts = &self.scripts()[first..end];
             let device = &scripts[0].plan.device;
             assert!(devices.insert(device), "{id}: the scripts of `{device}` form one chain");
             assert!(
                 scripts.iter().all(|script| script.plan.device == *device),
-                "{id}: a chain has one device"
+                "{id}: all scripts of a chain belong to one device"
             );
             let before = &self.scripts()[first..completed];
             assert!(
@@ -125,10 +125,7 @@ impl Timing {
         assert!(self.timestamp <= self.decision, "requests are sent before the decision");
         assert!(self.decision <= self.start, "an act is decided before it starts");
         assert!(self.start <= self.end, "an act starts before it ends");
-        assert!(
-            self.critical() <= self.brink(),
-            "nothing is sent between the critical instant and the brink"
-        );
+        assert!(self.critical() <= self.brink(), "the critical instant is not after the brink");
         assert!(self.brink() <= self.earliest_start(), "leases end before any robot starts");
         assert!(self.earliest_start() <= self.start, "no robot is planned to start later than the plan");
         assert!(self.begins() <= self.begun(), "the first robot starts no later than the last");

@@ -412,7 +412,7 @@ impl Act {
             };
             if lost(script) {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
-                let awaited = format!("report of the {what} of `{}`", script.plan.device);
+                let awaited = format!("report about the {what} of the script on `{}`", script.plan.device);
                 failing.push((member.robot, FailureKind::Silent { awaited, within: grace * 2 }));
             } else if robot.takes_inquiries()
                 && may_be_asked(now, member.asked, newest(), robot, (again, grace))

@@ -103,7 +103,7 @@ fn keys_of<T: DeserializeOwned>() -> BTreeSet<String> {
             _: V,
         ) -> Result<V::Value, Self::Error> {
             *self.0 = set(fields);
-            Err(Error::custom("only the keys are wanted"))
+            Err(Error::custom("only the keys are read"))
         }
 
         fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Self::Error> {

@@ -18,7 +18,7 @@ impl Script {
             ScriptState::Planned => {
                 assert!(
                     !self.has_begun() || self.perhaps_sent,
-                    "a script that was not sent has not begun: {of}"
+                    "a script that was not sent has not started: {of}"
                 );
             }
             ScriptState::Sent => {
@@ -44,11 +44,15 @@ impl Script {
     fn check_times(&self, robot: &RobotId) {
         let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
         assert!(self.first_sent_at <= self.sent_at, "a script is sent first before it is sent again: {of}");
-        assert_eq!(self.first_sent_at.is_some(), self.sent_at.is_some(), "a script was sent or not: {of}");
+        assert_eq!(
+            self.first_sent_at.is_some(),
+            self.sent_at.is_some(),
+            "the first and the last time of sending are either both set or both missing: {of}"
+        );
         assert!(self.starts >= self.plan.start.span(), "a script starts no earlier than it begins: {of}");
         assert!(
             self.running.shortest <= self.running.longest || self.running.longest.is_none(),
-            "leases have bounds: {of}"
+            "the shortest lease is not longer than the longest: {of}"
         );
     }
 

@@ -227,7 +227,7 @@ fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() 
     let mission = &mut played.mission;
     answers(mission, None, Err("`two` waits until `one` has ended"));
     answers(mission, Some("two"), Err("`two` waits until `one` has ended"));
-    answers(mission, Some("one"), Err("`one` does not wait for the operator now"));
+    answers(mission, Some("one"), Err("`one` is not waiting for the operator"));
     played.run_until(played.now + ms(3_000));
     answers(&mut played.mission, Some("two"), Ok("two"));
 }

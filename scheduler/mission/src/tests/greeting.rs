@@ -1,4 +1,4 @@
-//! The identity of robots, repeated questions, and robots of other sessions.
+//! Tests of the identity of robots, repeated questions, and robots of other sessions.
 
 use downbeat_plan::AllOrNone;
 use urrcp::{AvailabilityResponse, ControlError};
@@ -93,7 +93,7 @@ fn a_robot_whose_answer_is_under_way_is_asked_again_after_three_round_trips_and_
     assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
 }
 
-/// A mission that may take over a robot of another session that has proven its identity.
+/// A mission whose robot has proven its identity, and may be taken over from another session.
 fn may_seize() -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
@@ -166,7 +166,7 @@ fn a_robot_that_has_become_free_meanwhile_is_asked_as_any_other() {
     assert_eq!(mission.robots[0].ownership, Ownership::Asked);
 }
 
-/// A mission whose robot reports that its device `a`, which begins at 45, can report its position.
+/// A mission with a robot whose device `a` declares that it can report its position. The first keyframe of `a` is at 45.
 fn tells_where_it_stands() -> Mission {
     let mut mission = may_seize();
     let text = serde_json::to_string(mission.robots[0].block.as_ref().unwrap()).unwrap().replacen(
@@ -353,10 +353,10 @@ fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
     mission.robots[0].exchanges.ignore();
     mission.greeting_overdue(at(5_000));
     let text = mission.robots[0].failures[0].kind.to_string();
-    assert!(text.contains("availability response to a request (answers ignored because they answer no request or have impossible times: 1)"), "{text}");
+    assert!(text.contains("availability response (answers ignored because they match no request or have impossible times: 1)"), "{text}");
 }
 
-/// A mission whose acts follow each other forever, played by the available robots of two. The second robot is missing at first.
+/// A mission of two robots whose act repeats forever, played by the robots that are available. The second robot is missing at first.
 fn waits_for_nobody(greeting: Greeting) -> Played {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].next = Way::Act(0);
@@ -625,7 +625,7 @@ fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
     assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
 }
 
-/// A mission whose device has another smallest step and largest error, as written in its description.
+/// A mission whose device has other limits, such as its smallest step and its largest error. `change` edits the device's description.
 fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
     let mut mission = tells_where_it_stands();
     let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
@@ -778,8 +778,9 @@ fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_d
     }
 }
 
-/// The devices of `r0` move linearly. The first act moves `a`, and the other two move `b` as well. The second act follows by
-/// `next`, and the act `on_timeout` follows if no go comes in time. If the robot takes no inquiries, its devices have sensors.
+/// A mission with three acts, in which the devices of `r0` move linearly. The first act moves `a`, and the other two move `b` as well.
+/// The second act follows by `next`, and the act `on_timeout` follows if the operator sends no go in time. If the robot takes no
+/// inquiries, its devices have sensors.
 fn leads_to(tells: Tells, on_timeout: usize) -> Played {
     let mut show = choreography(&[&[("a", 0, 10_000)]]);
     let mut another = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
@@ -802,14 +803,14 @@ fn leads_to(tells: Tells, on_timeout: usize) -> Played {
     played
 }
 
-/// Whether the mission found `b` at another position and has not moved it. Checks that the advice is helpful before an act that is not
-/// the first one.
+/// Whether the mission found device `b` at an unexpected position and has not moved it. Also checks the advice in the failure, which must
+/// suit an act that is not the first one.
 fn refuses_b(played: &Played) -> bool {
     let robot = &played.mission.robots[0];
     let is_b =
         |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
     let Some(failure) = robot.failures.iter().find(|failure| is_b(&failure.kind)) else { return false };
-    let told = "device `b` is at 0, its first keyframe in the act `another` expects 45: move it there in an earlier act, or put that keyframe later";
+    let told = "device `b` is at 0, but its first keyframe in the act `another` expects 45: move it there in an earlier act, or put that keyframe later";
     assert_eq!(failure.kind.to_string(), told);
     !robot.touched.contains("b")
 }

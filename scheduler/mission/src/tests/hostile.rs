@@ -96,7 +96,7 @@ fn a_robot_whose_round_trips_are_longer_than_any_lease_is_refused() {
         let texts: Vec<_> =
             mission.robots[1].failures.iter().map(|failure| failure.kind.to_string()).collect();
         assert_eq!(texts.len(), usize::from(refused), "{texts:?}");
-        let says = "the link to it is too slow: a round trip takes 3.001 s, expected at most 3 s";
+        let says = "the link to the robot is too slow: a round trip takes 3.001 s, expected at most 3 s";
         assert!(texts.iter().all(|text| text.starts_with(says)), "{texts:?}");
     }
 }

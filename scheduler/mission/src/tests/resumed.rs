@@ -341,7 +341,7 @@ fn a_script_that_the_process_that_died_did_not_send_in_time_is_not_said_to_be_lo
     let texts: Vec<_> =
         resumed.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(
-        matches!(texts.as_slice(), [text] if text.contains("does not have the script, and its start has passed")),
+        matches!(texts.as_slice(), [text] if text.contains("does not have the script, and the script's start has passed")),
         "{texts:?}"
     );
 }

@@ -138,7 +138,9 @@ fn settings(
         // The setting `space` is a hash, which means nothing to people.
         match before == after {
             true => {}
-            false if key == "space" => found.push(format!("{who}: its `space` differs")),
+            false if key == "space" => {
+                found.push(format!("{who}: its `space` differs from the certified one"))
+            }
             false => {
                 found.push(format!("{who}: {key} is {}, but {} was certified", text(after), text(before)))
             }

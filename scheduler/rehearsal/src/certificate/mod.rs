@@ -65,8 +65,10 @@ pub enum CertificateError {
         /// The reason for the error, for people.
         reason: String,
     },
-    /// The certificate has another version than [`VERSION`].
-    #[error("`{file}` is a version {version} certificate, expected version {VERSION}")]
+    /// The version of the certificate is not [`VERSION`].
+    #[error(
+        "`{file}` is a version {version} certificate, expected version {VERSION}; create it again with `downbeat dry-run --certify`"
+    )]
     Version {
         /// The path of the file, as the user gave it.
         file: String,

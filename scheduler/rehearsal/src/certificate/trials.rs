@@ -108,10 +108,10 @@ impl Injected {
             Self::None => "no fault".to_owned(),
             Self::Refuses { robot } => format!("`{robot}` refuses"),
             Self::Silent { robot } => format!("`{robot}` is silent"),
-            Self::Disconnects { robot } => format!("`{robot}` disconnects after it has accepted"),
+            Self::Disconnects { robot } => format!("`{robot}` disconnects after accepting its scripts"),
             Self::Dies { robot, act } => format!("`{robot}` dies in the middle of `{act}`"),
             Self::LinkDown { robot, act } => {
-                format!("the link of `{robot}` is down for {INTERRUPTED} from the middle of `{act}` on")
+                format!("the link to `{robot}` goes down for {INTERRUPTED} in the middle of `{act}`")
             }
             Self::Stalls { robot, act } => {
                 format!("`{robot}` stalls for {STALLED} in the middle of `{act}`")
@@ -281,7 +281,7 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
     let tolerance = choreography.acts.iter().map(|act| act.plan.start_tolerance).max().unwrap_or_default();
     match injected {
         Injected::None if *outcome != Outcome::Done => {
-            broken.push(format!("without a fault the mission ends as: {outcome}"));
+            broken.push(format!("the mission did not succeed although no fault was injected: {outcome}"));
         }
         Injected::None => {}
         // A link that recovers and a short stall may have no consequences.
@@ -289,7 +289,7 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
         _ if *outcome == Outcome::Done => {
             broken.push("the mission reports success despite the fault".to_owned());
         }
-        _ if report.failures.is_empty() => broken.push("no failure is reported".to_owned()),
+        _ if report.failures.is_empty() => broken.push("the report lists no failure".to_owned()),
         _ => {}
     }
     // A robot that stalls or is gone in one act may be late for the next one.
@@ -315,7 +315,7 @@ fn all_or_none(
     let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
     for number in &begun {
         if !report.acts.iter().any(|act| act.number == *number) && report.acts_omitted == 0 {
-            broken.push(format!("act number {number} started but is not in the report"));
+            broken.push(format!("act {number} started but is missing from the report"));
         }
     }
     for act in &report.acts {
@@ -339,7 +339,10 @@ fn all_or_none(
                 (true, true) => broken.push(format!("{name}: `{}` was left out but moved", robot.robot)),
                 (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, false) => {
-                    broken.push(format!("{name}: `{}` was left out against its policy", robot.robot));
+                    broken.push(format!(
+                        "{name}: `{}` was left out although its failure policy does not allow it",
+                        robot.robot
+                    ));
                 }
             }
         }
@@ -384,14 +387,15 @@ fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
 fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         if watched.still_moves {
-            broken.push(format!("`{}` still moves after the mission and all leases have ended", row.robot));
+            broken
+                .push(format!("`{}` is still moving after the mission and all leases have ended", row.robot));
         }
         if row.stop == StopState::Home {
             let moving =
                 watched.last.iter().find(|(_, motion)| matches!(motion, MotionKind::Set | MotionKind::Ramp));
             if let Some((device, _)) = moving {
                 broken.push(format!(
-                    "`{}` confirmed its default state, but `{device}` is not in it",
+                    "`{}` confirmed its default state, but `{device}` is not in that state",
                     row.robot
                 ));
             }
@@ -399,7 +403,7 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
         let stops = matches!(report.outcome, Outcome::Failed | Outcome::NotStarted);
         let runs_on = matches!(row.stop, StopState::Unconfirmed { lease_ends: None } | StopState::TakenOver);
         if stops && watched.moved() && runs_on {
-            broken.push(format!("`{}` moved, and nothing stops it", row.robot));
+            broken.push(format!("`{}` moved, but nothing stops it", row.robot));
         }
     }
 }
@@ -414,7 +418,7 @@ fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
         };
         if !agrees && report.acts_omitted == 0 {
             broken.push(format!(
-                "`{}`: the report lists {} started scripts, but {began} started",
+                "`{}`: the report lists {} started scripts, but {began} actually started",
                 row.robot, row.started
             ));
         }
@@ -513,20 +517,20 @@ mod tests {
         check(
             &Injected::None,
             |_, watched| watched[2].still_moves = true,
-            "`c` still moves after the mission",
+            "`c` is still moving after the mission",
         );
         check(
             &Injected::None,
             |report, _| report.robots[0].started = 2,
-            "the report lists 2 started scripts, but 1 started",
+            "the report lists 2 started scripts, but 1 actually started",
         );
         check(
             &Injected::None,
             |report, _| report.outcome = Outcome::Failed,
-            "without a fault the mission ends as",
+            "the mission did not succeed although no fault was injected",
         );
         check(&refuses, |report, _| report.outcome = Outcome::Done, "reports success despite the fault");
-        check(&refuses, |report, _| report.failures.clear(), "no failure is reported");
+        check(&refuses, |report, _| report.failures.clear(), "the report lists no failure");
         check(
             &Injected::None,
             |report, _| report.true_spread = Some(Span::from_millis(11)),
@@ -538,7 +542,7 @@ mod tests {
                 report.robots[0].stop = StopState::Home;
                 watched[0].last.insert("shoulder".parse().unwrap(), MotionKind::Set);
             },
-            "`a` confirmed its default state, but `shoulder` is not in it",
+            "`a` confirmed its default state, but `shoulder` is not in that state",
         );
         check(
             &Injected::None,
@@ -546,7 +550,7 @@ mod tests {
                 report.outcome = Outcome::Failed;
                 report.robots[1].stop = StopState::Unconfirmed { lease_ends: None };
             },
-            "`b` moved, and nothing stops it",
+            "`b` moved, but nothing stops it",
         );
         check(
             &Injected::None,
@@ -555,7 +559,7 @@ mod tests {
                 watched[1].begun.clear();
                 report.robots[1].started = 0;
             },
-            "`b` was left out against its policy",
+            "`b` was left out although its failure policy does not allow it",
         );
     }
 

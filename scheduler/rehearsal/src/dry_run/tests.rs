@@ -385,7 +385,7 @@ impl Audience for Reasons {
 
 #[test]
 fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not_accepted() {
-    let again = "2 of 2 robots did not accept in time; `act-0` is prepared again";
+    let again = "2 of 2 robots did not accept their scripts in time; `act-0` is prepared again";
     for (refuse, begins) in [(&[1][..], "arm-1: "), (&[0, 1], again)] {
         let mut rehearsal = acts(|_| {});
         for robot in refuse {

@@ -26,7 +26,7 @@ pub(super) fn is_taken(file: &File) -> bool {
     match fcntl(file, FcntlArg::F_OFD_GETLK(&mut lock)) {
         Ok(_) => i32::from(lock.l_type) != libc::F_UNLCK,
         Err(errno) => {
-            tracing::debug!("cannot ask for a lock: {errno}");
+            tracing::debug!("cannot check whether the journal is locked: {errno}");
             false
         }
     }

@@ -303,7 +303,7 @@ impl<D: Disk> Journal<D> {
 /// there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no folder for the journals of missions: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
+    "no folder for mission journals: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
 )]
 pub struct NoStateFolder;
 

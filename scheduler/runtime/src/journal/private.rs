@@ -31,13 +31,13 @@ pub struct NotPrivate {
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum Fault {
-    #[error("belongs to user {owner}, but this process runs as user {}: run it as its owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
+    #[error("belongs to user {owner}, but this process runs as user {}: run this command as the owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
     Owner { owner: u32 },
-    #[error("is writable by other users (mode {:04o}), so its content may not be from Downbeat: inspect it, then restrict access with `chmod -R go= {path}`", mode & 0o7777)]
+    #[error("is writable by other users (mode {:04o}), so they may have changed it: check its contents, then restrict access with `chmod -R go= {path}`", mode & 0o7777)]
     Writable { mode: u32, path: String },
     #[error("is a symbolic link, which is not followed: remove it, or set DOWNBEAT_STATE to its target")]
     Link,
-    #[error("has other names (hard links): move it away, and copy it back with `cp`")]
+    #[error("has several hard links: move it away, then copy it back with `cp`")]
     Linked,
     #[error("is not a {0}: remove it")]
     Kind(&'static str),
@@ -86,7 +86,7 @@ pub fn folder(path: &Path) -> io::Result<OwnedFd> {
     if found.st_mode & OTHERS != 0
         && let Err(error) = rustix::fs::fchmod(&folder, FOLDER)
     {
-        tracing::debug!("cannot restrict the access of other users to {}: {error}", path.display());
+        tracing::debug!("cannot restrict other users' access to {}: {error}", path.display());
     }
     Ok(folder)
 }
@@ -134,7 +134,7 @@ pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
         && found.st_mode & OTHERS != 0
         && let Err(error) = rustix::fs::fchmod(&file, FILE)
     {
-        tracing::debug!("cannot restrict the access of other users to {}: {error}", path.display());
+        tracing::debug!("cannot restrict other users' access to {}: {error}", path.display());
     }
     Ok(file)
 }
@@ -233,7 +233,7 @@ mod tests {
         assert!(told_of_file.contains("state/journal belongs to user 65534"), "{told_of_file}");
         assert!(given_away(&state));
         assert!(told(folder(&state)).contains("state belongs to user 65534"));
-        assert!(told(create_folder(&state)).contains("run it as its owner"));
+        assert!(told(create_folder(&state)).contains("run this command as the owner"));
     }
 
     #[test]
@@ -248,7 +248,7 @@ mod tests {
         let _listens = std::os::unix::net::UnixListener::bind(state.join("socket")).unwrap();
         for how in [How::Read, How::Append, How::Create] {
             assert!(told(file(&state, "link", how)).contains("link is a symbolic link"));
-            assert!(told(file(&state, "linked", how)).contains("has other names"));
+            assert!(told(file(&state, "linked", how)).contains("has several hard links"));
             assert!(told(file(&state, "pipe", how)).contains("pipe is not a file"));
             assert!(told(file(&state, "socket", how)).contains("socket is not a file"));
         }

@@ -22,13 +22,13 @@ pub enum Unreadable {
         error: io::Error,
     },
     /// The first line is incomplete or damaged.
-    #[error("{} does not begin with a complete line of a journal", path.display())]
+    #[error("{} is not a valid journal: its first line is incomplete or damaged", path.display())]
     NoBegin {
         /// The journal file.
         path: PathBuf,
     },
     /// The journal was written by another version of Downbeat.
-    #[error("{} is a journal of version {found}, expected version {VERSION}; use the version of Downbeat that wrote it", path.display())]
+    #[error("{} is a version {found} journal, expected version {VERSION}; open it with the version of Downbeat that wrote it", path.display())]
     OtherVersion {
         /// The journal file.
         path: PathBuf,

@@ -632,7 +632,7 @@ fn a_journal_of_another_version_is_not_read() {
     let error = read(&path).unwrap_err().to_string();
     assert!(
         error.ends_with(
-            "is a journal of version 2, expected version 1; use the version of Downbeat that wrote it"
+            "is a version 2 journal, expected version 1; open it with the version of Downbeat that wrote it"
         ),
         "{error}"
     );

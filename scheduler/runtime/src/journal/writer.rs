@@ -95,7 +95,7 @@ impl<D: Disk + Send + 'static> Writer<D> {
             TrySendError::Full(_) => {
                 format!("the journal's disk is too slow: {WAITING_MAX} records are waiting")
             }
-            TrySendError::Disconnected(_) => "the journal's thread has ended".to_owned(),
+            TrySendError::Disconnected(_) => "the thread that writes the journal has ended".to_owned(),
         })
     }
 

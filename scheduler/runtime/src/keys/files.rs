@@ -1,4 +1,5 @@
-//! The files of an authority. Files that contain a key are private. A file is never changed in part: a new version replaces it.
+//! The files of a certificate authority. Files that contain a key are private. A file is never changed in part: a new version replaces
+//! it.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -11,7 +12,8 @@ use urrcp::RobotId;
 
 use super::KeysError;
 
-/// All characters except those that remain unchanged in a file name. The full stop is encoded, so no file name is `..` or hidden.
+/// The characters that are percent-encoded in file names: all except letters, digits, `-` and `_`. The full stop is encoded, so no file
+/// name is `..` or hidden.
 const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
 
 /// Maximum number of bytes read from a file. The record of about 100,000 certificates has this size.
@@ -68,7 +70,7 @@ pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysErro
     Ok(robots)
 }
 
-/// Deletes a file if it exists, and returns whether it did.
+/// Deletes a file if it exists. Returns whether it existed.
 pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
     match fs::remove_file(path) {
         Ok(()) => Ok(true),
@@ -90,7 +92,7 @@ pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
         return Ok(());
     }
     let what = format!(
-        "other users can read this key (mode {mode:03o}); restrict the access with `chmod 600 {}`",
+        "other users can read this key (mode {mode:03o}); restrict access with `chmod 600 {}`",
         path.display()
     );
     Err(KeysError::Damaged { path: path.into(), what })

@@ -77,7 +77,7 @@ impl Issued {
             let entry = serde_json::from_str::<Entry>(line).ok().filter(|entry| entry.serial().is_some());
             let what = || {
                 format!(
-                    "line {}: invalid certificate entry, expected an entry that `downbeat keys` wrote",
+                    "line {}: invalid certificate entry, expected an entry written by `downbeat keys`",
                     number + 1
                 )
             };

@@ -59,10 +59,10 @@ pub enum KeysError {
         /// The operating system's error.
         error: io::Error,
     },
-    /// The folder already contains an authority.
-    #[error("{} already contains an authority; robots that trust it would not accept a second one", .0.display())]
+    /// The folder already contains a certificate authority.
+    #[error("{} already contains an authority, and robots that trust it would not accept a second one; use it, or set another folder with --keys", .0.display())]
     Exists(PathBuf),
-    /// The folder contains no authority.
+    /// The folder contains no certificate authority.
     #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
     /// The contents of a file cannot be used.
@@ -74,16 +74,16 @@ pub enum KeysError {
         what: String,
     },
     /// These names already have a key.
-    #[error("{} already; `downbeat keys renew` creates a new one", have_keys(.0))]
+    #[error("{}; create a new one with `downbeat keys renew`", have_keys(.0))]
     Taken(Vec<Name>),
     /// These robots already have a secret.
-    #[error("{} already; --renew replaces and invalidates it", have_secrets(.0))]
+    #[error("{}; --renew replaces and invalidates it", have_secrets(.0))]
     SecretTaken(Vec<RobotId>),
     /// A secret or a pass cannot be read or made.
     #[error(transparent)]
     Secret(#[from] SecretError),
     /// No key was issued under this name.
-    #[error("{name} has no key in this folder; these have one: {known}")]
+    #[error("{name} has no key in this folder; names with a key: {known}")]
     Unknown {
         /// The requested name.
         name: String,
@@ -116,17 +116,17 @@ fn have_secrets(robots: &[RobotId]) -> String {
 fn have(names: impl Iterator<Item = String>, what: &str) -> String {
     let listed: Vec<String> = names.collect();
     if let [one] = listed.as_slice() {
-        format!("{one} has a {what}")
+        format!("{one} already has a {what}")
     } else {
-        format!("{} have {what}s", listed.join(", "))
+        format!("{} already have {what}s", listed.join(", "))
     }
 }
 
-/// An opened authority: its locked folder.
+/// An open certificate authority. Its folder is locked.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
-    /// Lock that admits one process at a time. It is held while this value lives.
+    /// Lock that admits only one process to the folder at a time. It is held while this value lives.
     _lock: File,
 }
 
@@ -285,7 +285,7 @@ impl Authority {
         let (key_path, path) = (self.path(AUTHORITY_KEY), self.path(AUTHORITY));
         let damaged = |path: &Path, error: rcgen::Error| KeysError::Damaged {
             path: path.into(),
-            what: format!("invalid key or certificate of an authority: {error}"),
+            what: format!("invalid authority key or certificate: {error}"),
         };
         let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
         let certificate = files::read(&path)?;
@@ -360,7 +360,7 @@ impl Authority {
     }
 }
 
-/// Returns the calendar time in seconds since 1970, UTC. It determines whether certificates are valid.
+/// Returns the calendar time in seconds since 1970, UTC. This time determines whether certificates are valid.
 #[must_use]
 #[expect(clippy::disallowed_methods, reason = "certificates count by the calendar")]
 pub fn calendar() -> i64 {

@@ -172,17 +172,17 @@ fn keys_are_private_and_not_made_twice() {
     assert_eq!(path.parent(), Some(keys.join("robots").as_path()));
     assert_eq!((mode(&keys), mode(&keys.join("authority.key")), mode(&path)), (0o700, 0o600, 0o600));
     let taken = issue(&["../cf1", "cf2"]).unwrap_err().to_string();
-    assert_eq!(taken, "robot ../cf1 has a key already; `downbeat keys renew` creates a new one");
+    assert_eq!(taken, "robot ../cf1 already has a key; create a new one with `downbeat keys renew`");
     assert_eq!(issue(&["cf2", "cf3", "cf2"]).unwrap().len(), 2, "nothing was made of what was refused");
     let taken = issue(&["cf4", "cf3", "cf2"]).unwrap_err().to_string();
-    assert!(taken.starts_with("robot cf2, robot cf3 have keys already"), "{taken}");
+    assert!(taken.starts_with("robot cf2, robot cf3 already have keys; "), "{taken}");
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o640)).unwrap();
     assert!(matches!(
         Credentials::read(&path),
         Err(CredentialsError::File(KeyFileError::NotPrivate { mode: 0o640, .. }))
     ));
     let unknown = site.authority.revoke(&robot("cf9"), calendar()).unwrap_err().to_string();
-    assert_eq!(unknown, "robot cf9 has no key in this folder; these have one: ../cf1, cf2, cf3");
+    assert_eq!(unknown, "robot cf9 has no key in this folder; names with a key: ../cf1, cf2, cf3");
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn an_authority_is_made_once_and_has_to_be_there() {
     std::fs::write(keys.join("issued.jsonl"), "{}\n").unwrap();
     let damaged = Authority::open(&keys).unwrap().issued().unwrap_err().to_string();
     assert!(
-        damaged.ends_with("line 1: invalid certificate entry, expected an entry that `downbeat keys` wrote"),
+        damaged.ends_with("line 1: invalid certificate entry, expected an entry written by `downbeat keys`"),
         "{damaged}"
     );
 }
@@ -213,7 +213,10 @@ fn no_pipe_is_waited_for_in_place_of_a_file() {
     let record = site.authority.issued().unwrap_err().to_string();
     assert!(record.ends_with("this is a pipe, not a file"), "{record}");
     let list = Revoked::in_file(&site.authority.revoked()).unwrap_err().to_string();
-    assert!(list.contains("it is not a regular file; expected a file that `downbeat keys` wrote"), "{list}");
+    assert!(
+        list.contains("this is not a regular file; expected a file that `downbeat keys` wrote"),
+        "{list}"
+    );
 }
 
 #[test]
@@ -253,7 +256,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     let cf3: RobotId = "cf3".parse().unwrap();
     let both = [cf1.clone(), cf3].into();
     let taken = site.authority.make_secrets(&both, IfThere::Keep).unwrap_err().to_string();
-    assert!(taken.starts_with("robot cf 1/ö has a secret already; "), "{taken}");
+    assert!(taken.starts_with("robot cf 1/ö already has a secret; "), "{taken}");
     assert_eq!(site.authority.robots_with_secret().unwrap(), [cf1.clone(), cf2.clone()], "none of them");
     let (before, anna) = (std::fs::read(&secret).unwrap(), passes(&site, OPERATOR));
     site.of_secret(&cf1, IfThere::Replace).unwrap();
@@ -286,5 +289,5 @@ fn the_passes_for_a_thousand_robots_are_read_whole() {
     assert_eq!(sealed::Passes::read(&path).unwrap().held().len(), 1_000);
     std::fs::write(&path, "#".repeat(17 * 1024 * 1024)).unwrap();
     let too_long = sealed::Passes::read(&path).unwrap_err().to_string();
-    assert!(too_long.contains("it has more than 16777216 bytes"), "{too_long}");
+    assert!(too_long.contains("the file is larger than 16777216 bytes"), "{too_long}");
 }

@@ -49,7 +49,7 @@ impl OfSite {
 #[cfg(feature = "zenoh")]
 pub fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Networks, String> {
     let file = file.ok_or(
-        "robots at `zenoh:` addresses require a Zenoh configuration: set its file with `zenoh:` in the fleet file, \
+        "robots at `zenoh:` addresses require a Zenoh configuration file: name it with `zenoh:` in the fleet file, \
          or with DOWNBEAT_ZENOH (docs/zenoh.md)",
     )?;
     downbeat_robot::zenoh::Networks::open(file).map_err(|error| error.to_string())

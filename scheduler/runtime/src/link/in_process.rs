@@ -8,7 +8,7 @@ use downbeat_mission::Loss;
 /// Carries messages between the mission and a robot in this process until either side closes.
 pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut queue: Queue) {
     let Some(mut link) = host.connect(index) else {
-        return sink.down(Loss::Refused, "the simulated robot has ended").await;
+        return sink.down(Loss::Refused, "the simulated robot is no longer running").await;
     };
     sink.up().await;
     loop {

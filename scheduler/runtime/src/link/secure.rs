@@ -26,7 +26,7 @@ pub(crate) type BareReadEnd =
 pub(crate) type BareWriteEnd =
     Either<OwnedWriteHalf, Either<WriteHalf<TlsStream<TcpStream>>, WriteHalf<Sealed<TcpStream>>>>;
 
-/// The credentials and networks for connections to the robots of a site.
+/// The credentials and the Zenoh network for connections to the robots of a site.
 #[derive(Clone, Debug, Default)]
 pub struct Site {
     config: Option<Arc<ClientConfig>>,
@@ -69,7 +69,7 @@ impl Site {
         let own = Credentials::read(path).map_err(|error| error.to_string())?;
         if let Name::Robot(id) = &own.identity().name {
             return Err(format!(
-                "{}: this is the identity of robot `{id}`, expected that of an operator, which `downbeat keys operator` makes",
+                "{}: this is the identity of robot `{id}`, expected an operator's identity; create one with `downbeat keys operator`",
                 path.display()
             ));
         }
@@ -141,7 +141,7 @@ impl Hmac {
         Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
     }
 
-    /// Returns the pass to present first: that for the expected robot, or the first one if any robot is permitted.
+    /// Returns the pass to present first: the expected robot's pass, or the first pass if any robot is permitted.
     ///
     /// # Errors
     /// Fails if the operator has no pass. The error message describes how to make one.
@@ -152,7 +152,7 @@ impl Hmac {
     fn first(&self) -> Result<&Held, Denied> {
         let none = |of: String| {
             Denied(format!(
-                "you have no pass for {of}: `downbeat keys secret` makes one, in a file next to your identity file"
+                "you have no pass for {of}: create one with `downbeat keys secret`, and keep the passes file next to your identity file"
             ))
         };
         match &self.robot {
@@ -161,7 +161,7 @@ impl Hmac {
         }
     }
 
-    /// Connects with the first pass. A robot that refuses the pass because it is for another robot returns its own id. If any robot is
+    /// Connects with the first pass. If that pass is for another robot, the robot refuses it and returns its own id. If any robot is
     /// permitted, connects again with the pass for that id.
     async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
         let address = stream.peer_addr()?;
@@ -260,7 +260,7 @@ pub fn denial(error: &io::Error) -> Option<String> {
             "the robot's certificate was issued by a different authority than yours"
         }
         Error::InvalidCertificate(Certificate::Expired | Certificate::ExpiredContext { .. }) => {
-            "the robot's certificate has expired: `downbeat keys renew` makes a new one"
+            "the robot's certificate has expired: create a new one with `downbeat keys renew`"
         }
         Error::InvalidCertificate(Certificate::Revoked) => "the robot's certificate is revoked",
         Error::InvalidMessage(_) => "the program at this address does not use TLS",
@@ -268,7 +268,7 @@ pub fn denial(error: &io::Error) -> Option<String> {
             "the robot trusts a different authority than yours"
         }
         Error::AlertReceived(Alert::CertificateExpired) => {
-            "your certificate has expired: `downbeat keys renew` makes a new one"
+            "your certificate has expired: create a new one with `downbeat keys renew`"
         }
         Error::AlertReceived(Alert::CertificateRevoked) => "your certificate is revoked",
         other => return Some(format!("TLS with the robot failed: {other}")),
@@ -276,7 +276,7 @@ pub fn denial(error: &io::Error) -> Option<String> {
     Some(why.to_owned())
 }
 
-/// A robot that has authenticated on a connection.
+/// A robot that has proven its identity on a connection.
 pub(crate) struct Met {
     /// When the robot's certificate expires, in seconds since 1970, UTC. `None` if it authenticated without a certificate.
     pub(crate) until: Option<i64>,
@@ -392,11 +392,15 @@ mod tests {
             (None, vec![held("a"), held_by(&secret, "b")], None),
             (None, vec![held_by(&secret, "b")], None),
             (None, vec![held("a")], Some(other)),
-            (None, vec![held("a"), held("b")], Some("the robot does not have the secret of your pass")),
+            (
+                None,
+                vec![held("a"), held("b")],
+                Some("the robot does not have the secret that matches your pass"),
+            ),
             (
                 None,
                 vec![held("b"), held_by(&secret, "b")],
-                Some("the robot does not have the secret of your pass"),
+                Some("the robot does not have the secret that matches your pass"),
             ),
             (Some("a"), vec![held("a"), held_by(&secret, "b")], Some(other)),
             (Some("b"), vec![held("a"), held_by(&secret, "b")], None),

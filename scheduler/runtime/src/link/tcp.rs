@@ -142,7 +142,7 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
 }
 
 fn flooding(loss: Loss) -> (Loss, String) {
-    (loss, "the robot sends far more than requested".to_owned())
+    (loss, "the robot is sending far more data than requested".to_owned())
 }
 
 /// Writes queued messages to the robot. Returns the reason if writing fails, or `None` once the mission has dropped the link.
@@ -233,7 +233,7 @@ impl Peer {
             let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.reach.connect(Purpose::Stop)).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };
             if let Err(error) = write_out(&mut writer, &batch).await {
-                return tracing::debug!("the overtaking stop was not sent: {error}");
+                return tracing::debug!("cannot send the stop on a separate connection: {error}");
             }
             let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&peer, reader)).await;
         });

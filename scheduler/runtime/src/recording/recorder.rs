@@ -61,11 +61,11 @@ impl Recorder {
         drop(self.notes);
         let failure = match tokio::time::timeout(FINISH_MAX, self.ended).await {
             Ok(Ok(None)) if self.missing > 0 => {
-                Some(format!("its disk is too slow: {} messages are missing", self.missing))
+                Some(format!("the disk is too slow: {} messages are missing", self.missing))
             }
             Ok(Ok(failure)) => failure,
-            Ok(Err(_)) => Some("its thread has failed".to_owned()),
-            Err(_) => Some(format!("its disk is too slow: not written within {FINISH_MAX:?}")),
+            Ok(Err(_)) => Some("the thread that writes it has failed".to_owned()),
+            Err(_) => Some(format!("the disk is too slow: the rest was not written within {FINISH_MAX:?}")),
         };
         Recorded { path: self.path, failure }
     }

@@ -205,7 +205,7 @@ async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
                 let reason = error.to_string();
                 if before.as_ref() != Some(&reason) {
                     tracing::warn!(
-                        "the mission's socket was removed or replaced and cannot be restored, so `downbeat stop` does not reach this mission: {reason}"
+                        "the mission's socket was removed or replaced and cannot be restored, so `downbeat stop` cannot reach this mission: {reason}"
                     );
                 }
                 before = Some(reason);
@@ -243,7 +243,10 @@ impl Listener {
             match desk.admits(challenge, &presented, line.trim()) {
                 Ok(name) => self.by = name,
                 Err(reason) => {
-                    tracing::warn!("refused at the mission's socket: `{}`: {reason}", line.trim());
+                    tracing::warn!(
+                        "refused the command `{}` from the mission's socket: {reason}",
+                        line.trim()
+                    );
                     return self.say(&format!("refused: {reason}")).await;
                 }
             }
@@ -309,13 +312,13 @@ impl Listener {
 #[derive(Debug, thiserror::Error)]
 pub enum Undelivered {
     /// No process listens on the mission's socket.
-    #[error("no process listens on its socket: {0}")]
+    #[error("no process is listening on the mission's socket: {0}")]
     NobodyListens(#[from] io::Error),
     /// The scheduler did not answer within 1 s.
     #[error("no answer within 1 s")]
     Silent,
     /// The scheduler closed the connection without an answer.
-    #[error("it ended without an answer")]
+    #[error("it ended without answering")]
     Ended,
     /// The scheduler does not permit this operator to send the command.
     #[error("refused: {0}")]
@@ -338,7 +341,7 @@ pub async fn go(
     presented: Option<&Presented>,
 ) -> Result<Result<String, String>, Undelivered> {
     if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
-        return Ok(Err("invalid name of an act: too long, or with a line break".to_owned()));
+        return Ok(Err("invalid act name: it is too long or contains a line break".to_owned()));
     }
     let mut speaker = Speaker::to(folder).await?;
     // Wait for `ready` first. Otherwise, a suspended scheduler would read the `go` when it continues, and begin the act at an unexpected
@@ -423,7 +426,7 @@ impl Speaker {
             Err(error) if word.starts_with("go") => Err(Undelivered::Refused(error)),
             // A stop is sent even without a usable key.
             Err(error) => {
-                tracing::warn!("the stop is sent without an identity: {error}");
+                tracing::warn!("sending the stop without an identity: {error}");
                 Ok(())
             }
         }

@@ -101,7 +101,9 @@ impl Desk {
             return Ok(None);
         }
         if challenge.nonce.is_empty() {
-            return Err("this machine has no random bits for a signature".to_owned());
+            return Err(
+                "this machine cannot generate a random challenge, so no identity can be verified".to_owned()
+            );
         }
         let (certificate, signature) = presented.split_once(' ').ok_or_else(unreadable)?;
         let decode = |text: &str| STANDARD.decode(text).map_err(|_| unreadable());
@@ -117,8 +119,8 @@ impl Desk {
             _ => ("a go", Role::Drive),
         };
         if !identity.roles.has(role) {
-            let roles = identity.roles.to_string();
-            return Err(format!("{} may {roles}, but {takes} requires the role {role}", identity.name));
+            let roles = identity.roles.in_words();
+            return Err(format!("{} has {roles}, but {takes} requires the role {role}", identity.name));
         }
         Ok(Some(identity.name.to_string()))
     }

@@ -1,4 +1,4 @@
-//! A connection of the stop lane to one robot. It is kept open for a possible stop.
+//! A connection of the stop lane (the thread that only stops robots) to one robot. It is kept open for a possible stop.
 
 use std::io;
 use std::net::SocketAddr;
@@ -51,7 +51,7 @@ impl Connection {
     ) -> io::Result<Self> {
         match endpoint {
             Endpoint::InProcess { host, index } => {
-                let gone = || io::Error::other("the robot in this process has ended");
+                let gone = || io::Error::other("the robot in this process is no longer running");
                 host.connect(*index).map(Self::InProcess).ok_or_else(gone)
             }
             Endpoint::Tcp { host, port, encoding, security } => {
@@ -143,7 +143,7 @@ impl Connection {
 impl Bytes {
     async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
         if std::mem::replace(&mut self.torn, true) {
-            return Err(io::Error::other("the last message was sent only in part"));
+            return Err(io::Error::other("only part of the last message was sent"));
         }
         let mut bytes = Vec::new();
         for message in messages {
@@ -168,7 +168,9 @@ impl Bytes {
             match decoded {
                 Some(Ok(message)) if !self.budget.passes(&message) => {}
                 Some(Ok(message)) => return Some(session::told_without_keys(message)),
-                Some(Err(error)) => tracing::debug!("on the connection for stops: {error}"),
+                Some(Err(error)) => {
+                    tracing::debug!("unreadable message on the connection for stops: {error}")
+                }
                 None => {
                     // The task yields, so that a robot that sends a lot does not starve others.
                     tokio::task::yield_now().await;

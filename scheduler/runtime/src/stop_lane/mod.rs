@@ -106,7 +106,7 @@ impl StopLane {
                 }
             });
         })?;
-        let gone = |_| io::Error::other("the stop lane has ended");
+        let gone = |_| io::Error::other("the thread that stops robots has ended");
         let runtime = started.recv().map_err(gone)??;
         let (robots, over) = (Vec::new(), watch::Sender::new(()));
         Ok((Self { runtime, voice, alarm, robots, over }, operator))

@@ -79,7 +79,7 @@ impl Guard {
                     rest = &mut ringing => return (Some(connection), rest),
                     () = connection.stay() => {}
                 },
-                Err(error) => tracing::debug!("no connection for stops: {error}"),
+                Err(error) => tracing::debug!("cannot open a connection for stops: {error}"),
             }
             tokio::select! {
                 biased;

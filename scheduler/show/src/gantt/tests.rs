@@ -76,8 +76,8 @@ wave  * ┊         ┊         ━━━━━━━━━━━━━━━━
 go    * ┊         ┊         ◆         ┊
 robot   ┊0 s      ┊1 s      ┊2 s      ┊3 s
 arm-1   ━━━━━━━━━━┊         ┊         ━━━━━━━━━━
-━ plays or moves, · slack: it could start later
-  by this much, ◆ a mark, * critical path: it
+━ playing or moving, · slack: how much later it
+  could start, ◆ mark, * critical path:
   determines when the act ends
 
 ",

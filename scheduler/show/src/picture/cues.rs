@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use downbeat_scripts::shown::within;
-use downbeat_scripts::{Act, PlannedCue};
+use downbeat_scripts::{Act, PlannedCue, counted};
 use unicode_width::UnicodeWidthStr;
 
 use super::{Frame, NAME_MAX, escaped};
@@ -76,12 +76,9 @@ impl<'a> Cues<'a> {
     pub(super) fn draw(&self, svg: &mut String, top: f64) {
         self.placed.iter().for_each(|placed| placed.draw(svg, top));
         if self.left_out > 0 {
-            let (y, left_out) = (top + ROW * self.rows as f64 + 10.5, self.left_out);
-            let _infallible = write!(
-                svg,
-                "<text x='{}' y='{y}' class='small'>and {left_out} more cues</text>",
-                super::LEFT
-            );
+            let (y, left_out) = (top + ROW * self.rows as f64 + 10.5, counted(self.left_out, "more cue"));
+            let _infallible =
+                write!(svg, "<text x='{}' y='{y}' class='small'>and {left_out}</text>", super::LEFT);
         }
     }
 }

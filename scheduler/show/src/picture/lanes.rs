@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use downbeat_scripts::{Act, DeviceScript, FleetRobot};
+use downbeat_scripts::{Act, DeviceScript, FleetRobot, counted};
 use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
 use super::pen::Pen;
@@ -76,7 +76,7 @@ impl<'a> Lanes<'a> {
 
     /// Returns a note with the number of devices that are not drawn. `None` if all devices are drawn.
     pub(super) fn note(&self) -> Option<String> {
-        (self.left_out > 0).then(|| format!("and {} more devices", self.left_out))
+        (self.left_out > 0).then(|| format!("and {}", counted(self.left_out, "more device")))
     }
 
     pub(super) fn draw(

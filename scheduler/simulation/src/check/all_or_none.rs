@@ -61,9 +61,13 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
                     let missed = started.iter().filter(|robot| !robot.began && robot.excuse.is_none());
                     let missed: Vec<String> = missed.map(|robot| format!("r{}", robot.robot)).collect();
                     let what = format!(
-                        "act {number} started on {began} of {} robots, and no fault excuses {}",
+                        "act {number} started on {began} of {} robots, but no fault excuses {}",
                         started.len(),
-                        if missed.is_empty() { "those that did".to_owned() } else { missed.join(", ") }
+                        if missed.is_empty() {
+                            "the robots that started".to_owned()
+                        } else {
+                            missed.join(", ")
+                        }
                     );
                     verdict.violated('a', what);
                 }
@@ -83,7 +87,7 @@ fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], ve
         let number = act.promise.number;
         verdict.violated(
             'a',
-            format!("r{} began act {number}, and no inquiry had moved its limit", robot.robot),
+            format!("r{} started act {number}, although no inquiry had moved its `pending_until` beyond the start", robot.robot),
         );
     }
 }

@@ -128,7 +128,7 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
         if settled > two[0] + bound && !otherwise {
             let silent = two[1] - two[0];
             let what = format!(
-                "r{robot} was silent for {silent} while it played, and the failure was not reported within {bound}"
+                "r{robot} was silent for {silent} while it played, but its failure was not reported within {bound}"
             );
             return verdict.violated('h', what);
         }
@@ -280,7 +280,9 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         });
         let allowed = without * TIMES + lead_allowed(facts, act);
         if with > allowed && !ahead && Some(with) != asked_for(act) {
-            let what = format!("act {number} had a lead of {with}, without faults it has {without}");
+            let what = format!(
+                "act {number} had a lead of {with}, compared with {without} in the mission without faults"
+            );
             verdict.violated('h', what);
         }
         let (before, other_before) = (before(facts, act), before(undisturbed, other));
@@ -300,7 +302,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         if gap > other_gap.max(Span::ZERO) * TIMES + longer + gap_allowed(facts, before, act) {
             verdict.violated(
                 'h',
-                format!("act {number} came after a gap of {gap}, without faults after {other_gap}"),
+                format!("act {number} started after a gap of {gap}, compared with {other_gap} in the mission without faults"),
             );
         }
     }

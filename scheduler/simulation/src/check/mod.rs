@@ -99,13 +99,13 @@ impl Verdict {
     pub const INVARIANTS: [(char, &str); 10] = [
         ('a', "all or none"),
         ('b', "nothing late, nothing twice"),
-        ('c', "rest after a stop and beyond a lease"),
+        ('c', "at rest after a stop or expired lease"),
         ('d', "no value outside limits"),
         ('e', "every mission ends in a report"),
         ('f', "starts within the skew budget"),
-        ('g', "reports that are true"),
-        ('h', "silence, gaps and stops in time"),
-        ('i', "statements that hold inside the mission"),
+        ('g', "truthful reports"),
+        ('h', "stops, gaps and silence stay bounded"),
+        ('i', "internal assertions hold"),
         ('m', "no movement without a reason"),
     ];
 

@@ -16,7 +16,13 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         let honest = act.scripts.iter().filter(|script| facts.honest(script.robot));
         for script in honest.filter(|script| script.began()) {
             let number = act.promise.number;
-            verdict.violated('b', format!("r{} began act {number}, which was prepared again", script.robot));
+            verdict.violated(
+                'b',
+                format!(
+                    "r{} started act {number}, although the act was withdrawn and prepared again",
+                    script.robot
+                ),
+            );
         }
     }
     for (robot, log) in facts.ran.logs.iter().enumerate().filter(|(robot, _)| facts.honest(*robot)) {
@@ -24,7 +30,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         for entry in log.iter().filter(|entry| entry.is_set()) {
             let (Some(id), Some(step)) = (entry.request_id.as_deref(), entry.step) else { continue };
             if !done.insert((facts.promised_name(robot, id), step)) {
-                verdict.violated('b', format!("r{robot} did step {step} of {id} twice"));
+                verdict.violated('b', format!("r{robot} executed step {step} of {id} twice"));
             }
             let late = entry.set_at - entry.due;
             if step == 0 && late > START_LATE_MAX && !facts.clock_was_set(robot) {

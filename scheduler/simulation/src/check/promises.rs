@@ -92,8 +92,10 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
                     continue;
                 };
                 if matches!(failure.kind, FailureKind::LinkDown { .. }) && *at - since < STARTS_WITHIN {
-                    let what =
-                        format!("r{robot} was given up {} after its first connection failed", *at - since);
+                    let what = format!(
+                        "the mission gave up on r{robot} only {} after its first connection failed",
+                        *at - since
+                    );
                     return verdict.violated('h', what);
                 }
             }
@@ -112,8 +114,10 @@ fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
         let stopped = facts.stopping.iter().any(|stopping| stopping <= at);
         let died = facts.hits.iter().any(|hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at);
         if cancels && !dropped && !stopped && !died {
-            return verdict
-                .violated('c', format!("r{robot} was sent a cancel at {at}, but nothing was being stopped"));
+            return verdict.violated(
+                'c',
+                format!("r{robot} was sent a cancellation at {at}, but nothing was being stopped"),
+            );
         }
     }
 }
@@ -139,7 +143,7 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
         let longest = instants.windows(2).map(|two| two[1] - two[0]).max().unwrap_or_default();
         if longest + DRIFT < lease {
             let what = format!(
-                "r{robot} reports that it received nothing for a lease of {lease}, but the longest gap was {longest}"
+                "r{robot} reported that it received nothing for longer than its lease of {lease}, but the longest gap was {longest}"
             );
             return verdict.violated('c', what);
         }
@@ -182,7 +186,7 @@ fn budgets_fit(facts: &Facts<'_>, verdict: &mut Verdict) {
         if let Some(skew) = act.skew.filter(|skew| skew.predicted > skew.tolerance) {
             let (number, predicted, tolerance) = (act.promise.number, skew.predicted, skew.tolerance);
             let what = format!(
-                "act {number} was sent, but its starts may be {predicted} apart, and {tolerance} is tolerated"
+                "act {number} was sent, although its starts may be {predicted} apart and only {tolerance} is allowed"
             );
             verdict.violated('f', what);
         }
@@ -239,7 +243,10 @@ fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
                 let due = act.start_of(script);
                 if came.is_some_and(|came| due - came > NOTICE) && !facts.clock_was_set(robot) {
                     let device = &script.promised.device;
-                    verdict.violated('g', format!("r{robot} began `{device}` with failed hardware"));
+                    verdict.violated(
+                        'g',
+                        format!("r{robot} started a script of `{device}`, although its hardware had failed"),
+                    );
                 }
             }
         }
@@ -314,7 +321,7 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         if holds && bounded && !done && !hit && !failed && !heard {
             return verdict.violated(
                 'h',
-                format!("r{robot} was reachable again at {at}, but receives nothing about its scripts"),
+                format!("r{robot} was reachable again at {at}, but received no message about its scripts"),
             );
         }
     }

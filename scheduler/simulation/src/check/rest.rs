@@ -39,7 +39,7 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
             .into_iter()
             .find(|(entry, until)| Timestamp::<Server>::from_nanos(entry.true_ns) < *at && *until > *at);
         if let Some((entry, _)) = turns {
-            verdict.violated('c', format!("r{robot} has confirmed its stop, but turns: {entry:?}"));
+            verdict.violated('c', format!("r{robot} confirmed its stop, but is still turning: {entry:?}"));
         }
     }
 }
@@ -81,7 +81,7 @@ fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         let silent = heard.windows(2).map(|two| two[1] - two[0]).max().unwrap_or(Span::ZERO);
         if silent > lease.span() + DRIFT {
             let what = format!(
-                "`{}` turned after a silence of {silent}, its lease was {}",
+                "`{}` was still turning after a silence of {silent}, although its lease was {}",
                 entry.device,
                 lease.span()
             );
@@ -129,7 +129,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
             {
                 let silent = at - last;
                 return Some(format!(
-                    "r{robot} moved {silent} after its last message, its lease was {lease}"
+                    "r{robot} moved {silent} after it had received its last message, although its lease was {lease}"
                 ));
             }
         }

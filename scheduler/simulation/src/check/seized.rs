@@ -23,7 +23,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         plays_on(facts, at, robot, verdict);
         if was_cut_short(facts, at, robot) && has_to_be_known(facts, at, robot) && !is_known(facts, robot) {
             let what =
-                format!("r{robot} was taken over by {SEIZED_BY} at {at}, but the report does not contain it");
+                format!("r{robot} was taken over by {SEIZED_BY} at {at}, but the report does not say so");
             verdict.violated('g', what);
         }
     }

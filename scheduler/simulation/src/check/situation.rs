@@ -73,21 +73,21 @@ impl Situation {
 impl fmt::Display for Situation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
-            Self::SpeedSlows => "a speed goes to zero within its acceleration",
+            Self::SpeedSlows => "a speed goes to zero within its acceleration limit",
             Self::SpeedStops => "a speed goes to zero at once",
-            Self::PositionSlows => "a position slows down within its acceleration",
-            Self::SlowsAtLimit => "a position slows down harder at its limit",
-            Self::StoppedAgain => "a stop reaches a device that slows down",
-            Self::TurnsAfterScript => "a device turns on after its script",
+            Self::PositionSlows => "a position move slows down within its acceleration limit",
+            Self::SlowsAtLimit => "a position move brakes harder near its position limit",
+            Self::StoppedAgain => "a stop reaches a device that is already slowing down",
+            Self::TurnsAfterScript => "a device keeps turning after its script",
             Self::AtItsTime => "an act starts at its time of day",
-            Self::AtTimeShownTwice => "an act starts at a time that clocks show twice",
+            Self::AtTimeShownTwice => "an act starts at a time of day that occurs twice",
             Self::AtSkippedTime => "an act starts when clocks skip its time of day",
-            Self::WaitsForAnotherDay => "an act waits for a time of another day",
+            Self::WaitsForAnotherDay => "an act waits for a time on another day",
             Self::RefusedBySensor => "a sensor shows that a device would jump",
-            Self::ReadWithoutNames => "a robot without names is read and plays",
-            Self::MovesBehindTwin => "a robot moves whose twin was stopped",
-            Self::DriftsApart => "a clock drifts beyond the tolerance in an act",
-            Self::LeaseEndsTurning => "a lease ends after a script, and the device turns",
+            Self::ReadWithoutNames => "a robot plays although its responses omit request ids",
+            Self::MovesBehindTwin => "a robot moves after its twin was stopped",
+            Self::DriftsApart => "a clock drifts beyond the tolerance during an act",
+            Self::LeaseEndsTurning => "a lease ends while a device turns after its script",
         })
     }
 }

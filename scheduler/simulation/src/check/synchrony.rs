@@ -65,7 +65,7 @@ fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span
     let number = act.promise.number;
     match told {
         Some(told) => format!(
-            "r{robot} started {error} from the plan of act {number}, its clock was told to be ahead by {} +- {}",
+            "r{robot} started {error} off the plan of act {number}, but its clock was reported to be {} +- {} ahead",
             told.offset, told.uncertainty
         ),
         None => format!("r{robot} started act {number}, but nothing was reported about its clock"),
@@ -81,8 +81,8 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
     if least.robot != most.robot && most.error - least.error > budget {
         let (apart, number) = (most.error - least.error, act.promise.number);
         let what =
-            format!("act {number} started {apart} apart, between r{} and r{}", least.robot, most.robot);
-        verdict.violated('f', format!("{what}, but {budget} was reported"));
+            format!("the starts of act {number} were {apart} apart on r{} and r{}", least.robot, most.robot);
+        verdict.violated('f', format!("{what}, but at most {budget} was predicted"));
     }
 }
 

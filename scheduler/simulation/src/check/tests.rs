@@ -1,4 +1,4 @@
-//! Tests that each invariant can fail: they falsify histories and reports of valid missions.
+//! Tests that each invariant can fail: the tests falsify the histories and reports of valid missions.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{ControlType, Message, Span};
@@ -20,7 +20,7 @@ fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
     ran
 }
 
-/// Whether two or more honest robots play one act, without faults.
+/// Whether a drawn mission has no faults and a single act, which two or more honest robots play.
 fn calm(drawn: &Drawn) -> bool {
     let sound = |robot: &crate::DrawnRobot| {
         robot.lie.is_none() && robot.names == Names::Echoed && robot.block.reports && robot.block.inquiry
@@ -71,12 +71,12 @@ fn member(ran: &Ran) -> usize {
     ran.drawn.robots.iter().position(|drawn| drawn.block.id == *robot).unwrap()
 }
 
-/// The part of the report about the first script of the first robot.
+/// Returns the report's entry for the first script of the first robot.
 fn said(ran: &mut Ran) -> &mut downbeat_mission::DeviceReport {
     &mut ran.report.as_mut().unwrap().acts[0].robots[0].devices[0]
 }
 
-/// Inserts a fault into the history, `before_start` before the start of the act.
+/// Inserts a fault into the history, at `before_start` before the start of the act.
 fn hit(ran: &mut Ran, before_start: Span, fault: Fault) {
     let at = promised(ran).start - before_start;
     let place = ran.history.partition_point(|(when, _)| *when <= at);
@@ -87,7 +87,7 @@ fn crash(robot: usize) -> Fault {
     Fault::RobotCrash { robot, back_after: None, told: true }
 }
 
-/// Makes a robot of the act set nothing, and the report state that.
+/// Falsifies a run as if a robot of the act had set no values. Returns the index of the robot.
 fn one_misses(ran: &mut Ran) -> usize {
     let robot = member(ran);
     ran.logs[robot].clear();
@@ -160,8 +160,9 @@ fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_retu
     }
 }
 
-/// Whether a robot without inquiries has an excuse for starting alone. The last message to it was sent `sent_late` after the instant one
-/// lease before the start. It arrived 120 ms later and was slow on the link of the robot that `slow` selects.
+/// Whether a robot that accepts no inquiries is excused for starting an act alone. The last message to it was sent `sent_late`
+/// milliseconds after the instant one lease before the start. It arrived 120 ms later. The delay is attributed to the link of the robot
+/// that `slow` selects.
 fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let as_with_inquiries = |drawn: &Drawn| {
         let mut drawn = drawn.clone();
@@ -214,8 +215,8 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
     assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
 }
 
-/// Whether a robot without inquiries has an excuse for beginning a script without the preceding one. The script arrived after a silence
-/// with `questions` interruptions, and was slow on the link of the robot that `slow` selects.
+/// Whether a robot that accepts no inquiries is excused for beginning a script without the preceding one. The script arrived after a
+/// silence that `questions` messages interrupted. The delay is attributed to the link of the robot that `slow` selects.
 fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let undisturbed = |drawn: &Drawn| {
         let sound = |robot: &crate::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
@@ -295,7 +296,7 @@ fn a_commitment_that_is_written_down_after_the_start_is_found() {
     });
 }
 
-/// A run in which a robot of the act misses its start shortly after a brief interruption of its link.
+/// Returns a run in which a robot of the act misses its start shortly after a brief interruption of its link.
 fn missing_behind_a_link() -> (Ran, usize) {
     let mut ran = played();
     let missing = one_misses(&mut ran);
@@ -390,8 +391,8 @@ fn a_movement_without_a_reason_is_found() {
     });
 }
 
-/// A run in which a robot refuses a request once, so that it executes the script under another name. `tells`: whether the robot reports
-/// outcomes.
+/// Returns a run in which a robot refuses a request once, so that it executes the script under another request id. `tells` states whether
+/// the robot reports outcomes.
 fn moves_under_another_name(tells: bool) -> (Ran, usize) {
     let mut ran = played();
     let robot = member(&ran);
@@ -544,7 +545,8 @@ fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_
     });
 }
 
-/// A run in which no message arrives from any robot for longer than its lease while it plays, and the operator is not informed.
+/// Returns a run in which the scheduler receives no message from any playing robot for longer than the lease, and the operator is not
+/// informed.
 fn silent() -> Ran {
     let long = |drawn: &Drawn| {
         let plan = &drawn.choreography.acts[0].plan;
@@ -619,8 +621,8 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
     assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
 }
 
-/// Whether the check finds a jump after a stop at `position`. Between stop and jump, the mission may send robots home and plan an
-/// approach.
+/// Whether the check reports a jump of a device that a stop had left at `position`. Between the stop and the jump, the mission sends the
+/// robots home if `home`, and plans an approach if `approaches`.
 fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
     let states = |drawn: &Drawn| {
         let at_home = |device: &urrcp::Device| device.default_value.is_some();
@@ -655,7 +657,7 @@ fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
     assert!(jumps_after_a_stop_at(0.0, true, true), "it stayed on the approach");
 }
 
-/// The number of violations found in a mission whose lead exceeds the permitted lead by `by`.
+/// Returns the number of violations in a mission whose lead exceeds the permitted lead by `by` milliseconds.
 fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &downbeat_mission::Promise)) -> usize {
     let ran = played();
     let mut slow = played();
@@ -814,7 +816,7 @@ fn an_act_that_waits_for_another_time_of_day_than_the_clocks_next_show_is_found(
                 (*at, waits) = (*at + Span::from_millis(by), true);
             }
         }
-        let found = |violation: &Violation| violation.what.contains("the clocks next show");
+        let found = |violation: &Violation| violation.what.contains("the clocks first show");
         waits.then(|| ran.verdict().violations.iter().any(found))
     };
     let mut seeds = (TIMES..5_000).step_by(FAMILIES as usize);

@@ -26,7 +26,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         let next = next(change, time, since);
         if *target != next {
             let what = format!(
-                "`{act}` waits for {target}, and from {since} on, the clocks next show {time} at {next}"
+                "`{act}` waits for {target}, but after {since} the clocks first show {time} at {next}"
             );
             verdict.violated('h', what);
         }
@@ -45,7 +45,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         let start = act.promise.start + act.ahead;
         if target.is_none_or(|target| start < target) {
             let what = format!(
-                "act {} starts at {start}, and its time of day {time} is {target:?}",
+                "act {} starts at {start}, but its time of day {time} is at {target:?}",
                 act.promise.number
             );
             verdict.violated('h', what);

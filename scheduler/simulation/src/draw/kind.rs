@@ -172,7 +172,7 @@ impl fmt::Display for FaultKind {
             Self::ForeignSession => "another session",
             Self::Seize => "a robot is seized",
             Self::Partition => "partition",
-            Self::OneWay => "partition, one way",
+            Self::OneWay => "one-way partition",
             Self::DeadLink => "dead connection",
             Self::HalfOpen => "half-open connection",
             Self::SlowLink => "little bandwidth",
@@ -180,13 +180,13 @@ impl fmt::Display for FaultKind {
             Self::ClockStep => "robot's clock is set",
             Self::ServerClockStep => "host's clock is set",
             Self::SchedulerCrash => "scheduler ends",
-            Self::SchedulerCrashAmid => "scheduler ends in act",
+            Self::SchedulerCrashAmid => "scheduler ends mid-act",
             Self::SchedulerPause => "scheduler stalls",
-            Self::SchedulerPauseAmid => "scheduler stalls in act",
+            Self::SchedulerPauseAmid => "scheduler stalls mid-act",
             Self::DiskStalls => "disk stalls",
             Self::Stop => "stop",
             Self::Home => "stop with home",
-            Self::StopByJournal => "stop by journal",
+            Self::StopByJournal => "stop via journal",
         })
     }
 }

@@ -216,7 +216,7 @@ fn play_world(mut world: World) -> Ran {
 
 fn text_of(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref().copied());
-    text.unwrap_or("a statement does not hold").to_owned()
+    text.unwrap_or("an assertion failed").to_owned()
 }
 
 impl World {

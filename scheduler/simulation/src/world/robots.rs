@@ -17,13 +17,13 @@ use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 use downbeat_mission::Loss;
 use downbeat_rehearsal::world::Path;
 
-/// Time after which a driver considers hardware lost that has only stopped answering.
+/// Time after which a driver considers hardware lost that has stopped answering without closing its connection.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
 /// Minimum time that an edge needs to notice that its hardware has died without closing its connection.
 const DEATH_KNOWN: Span = Span::from_millis(200);
-/// First id of the links of other sessions, far from the ids of the scheduler's links.
+/// First id of the links of other sessions. It is far from the ids of the scheduler's links.
 const FOREIGN: u64 = 1 << 63;
-/// Added to the id of a link of another session if the peer is an operator that seizes a robot.
+/// Added to the id of another session's link if the peer is an operator that seizes a robot.
 const SEIZES: u64 = 1 << 62;
 /// Name of the operator that seizes a robot.
 pub(crate) const SEIZED_BY: &str = "eva";
@@ -47,7 +47,7 @@ pub(super) struct RobotSide {
     /// A connection that the robot will read once the current one has ended, with the messages received on it.
     pub(super) waiting: Option<(LinkId, Vec<Message>)>,
     pub(super) path: Path,
-    /// The time until which connections persist without carrying messages.
+    /// The instant until which dead connections, which carry no messages, persist.
     pub(super) dead_until: Timestamp<Server>,
     /// Connections that no longer carry messages.
     pub(super) dead: BTreeSet<LinkId>,
@@ -107,7 +107,7 @@ impl RobotSide {
 }
 
 impl RobotSide {
-    /// Records the scripts that the robot began although its hardware was dead. Evaluates the log entries from index `from`.
+    /// Stores the scripts that the robot began although its hardware was dead, according to the log entries from index `from` on.
     fn note_starts_of_dead(&mut self, from: usize) {
         let Some(since) = self.hardware_dead_since else { return };
         let known = (since + DEATH_KNOWN).as_nanos();
@@ -117,7 +117,7 @@ impl RobotSide {
     }
 }
 
-/// Determines how devices came to rest, according to the last log entry of each device.
+/// Determines how the devices of a robot that still slow down come to rest. Considers the last log entry of each device and control type.
 fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
     let slow = |(_, entry): &(usize, &LogEntry)| entry.motion == MotionKind::Slow;
     let is_last = |(index, entry): &(usize, &LogEntry)| {
@@ -130,7 +130,7 @@ fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
     last.filter_map(|(_, entry)| Braking::of(entry, |of, at| value(entry, of, at))).collect()
 }
 
-/// Creates the machine of a robot's process. The robot's clock has drifted since the start of the mission, whether or not a process ran.
+/// Creates the simulated robot for a new process. Its clock has drifted since the start of the mission, whether or not a process ran.
 pub(super) fn machine(
     drawn: &DrawnRobot,
     block: InitializationBlock,
@@ -146,7 +146,7 @@ pub(super) fn machine(
 }
 
 impl World {
-    /// Collects the values that a robot has set.
+    /// Moves the log of the values that a robot has set into the results.
     pub(super) fn collect(&mut self, robot: usize) {
         let hidden = self.hidden(robot);
         let side = &mut self.robots[robot];
@@ -194,7 +194,7 @@ impl World {
         self.kernel.robots.begin(robot, machine);
     }
 
-    /// The index of a robot's process while a twin answers at its address.
+    /// Returns the index at which a robot's own process is stored while a twin answers at its address.
     const fn hidden(&self, robot: usize) -> usize {
         self.robots.len() + robot
     }
@@ -218,7 +218,7 @@ impl World {
         self.robots[robot].who = Who::Twin;
     }
 
-    /// Advances a robot whose twin answers. Its messages are discarded.
+    /// Advances a robot's own process while its twin answers. The messages of the process are discarded.
     pub(super) fn advance_hidden(&mut self, robot: usize) {
         let now = self.kernel.now.assume_clock();
         self.kernel.robots.change(self.hidden(robot), |machine| machine.advance(now, &mut Vec::new()));
@@ -261,7 +261,7 @@ impl World {
         self.said = said;
     }
 
-    /// Modifies a robot's message: the robot may lie, or omit fields that it does not know.
+    /// Modifies a message of a robot that lies, or that omits fields because it does not know them.
     fn as_said(&mut self, robot: usize, mut message: Message) -> Message {
         let drawn = &self.drawn.robots[robot];
         match &mut message {
@@ -340,12 +340,12 @@ impl World {
         self.kernel.robots.change(robot, |machine| machine.hardware_found(now));
     }
 
-    /// Another session claims a robot and sends it a script, as far as the robot permits.
+    /// Lets another session claim a robot and send it a script, as far as the robot permits.
     pub(super) fn foreign_session(&mut self, robot: usize, lasts: Span) {
         self.asks_for(robot, LinkId(FOREIGN + robot as u64), lasts);
     }
 
-    /// An operator with the role `seize` seizes a robot and sends it a script.
+    /// Lets an operator with the role `seize` seize a robot and send it a script.
     pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
         let link = LinkId(FOREIGN + SEIZES + robot as u64);
         if let Ok(name) = SEIZED_BY.parse() {
@@ -386,7 +386,7 @@ impl World {
     }
 }
 
-/// Whether a robot's message confirms that the robot belongs to the session that claimed it.
+/// Whether a robot's message confirms that it now belongs to the session that asked for it.
 fn is_taken(message: &Message) -> bool {
     matches!(message, Message::AvailabilityResponse(response) if response.status == Status::Ok)
 }

@@ -16,7 +16,7 @@ struct Done<'a> {
 
 pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
     let [file] = args.files.as_slice() else {
-        console::error("urdf takes one file at a time");
+        console::error("the format urdf takes one file at a time");
         return Exit::Usage;
     };
     let mut outcome = match Source::read(file) {

@@ -67,13 +67,19 @@ fn write_beside(path: &Path, text: &str) -> std::io::Result<Temporary> {
 
 fn already_there(path: &Path) -> Finding {
     let hint = "choose another --output, or add --force to replace the file";
-    about(Code::FileExists, path, "the file already exists".into(), "a path that does not exist", Some(hint))
+    about(
+        Code::FileExists,
+        path,
+        "the file already exists".into(),
+        "a path that does not exist yet",
+        Some(hint),
+    )
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Finding {
     let Refusal { reason, remedy } = Refusal::of(Attempt::Write(path), error);
     let message = format!("cannot write the file: {reason}");
-    about(Code::Unreadable, path, message, "a folder that can be written to", remedy.as_deref())
+    about(Code::Unreadable, path, message, "a writable folder", remedy.as_deref())
 }
 
 fn about(code: Code, path: &Path, message: String, expected: &str, hint: Option<&str>) -> Finding {

@@ -188,7 +188,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
         let text = match (left, model.rows.iter().find(failed)) {
             (0, _) => "every robot that was moving has confirmed the stop".to_owned(),
             (1, Some(row)) => {
-                format!("{} has failed without confirming the stop: it may still move", row.robot)
+                format!("{} has failed without confirming the stop: it may still be moving", row.robot)
             }
             (left, _) => format!("{} not confirmed yet", downbeat_scripts::counted(left, "robot")),
         };
@@ -218,11 +218,11 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
 fn outlook(act: &ShownAct, now: Timestamp<Server>) -> String {
     match &act.stage {
         Stage::Waiting { awaits, until: Some(until), .. } => {
-            format!("waits for {awaits}, in {}", length(*until - now))
+            format!("waits for {awaits} (in {})", length(*until - now))
         }
         Stage::Waiting { awaits, .. } => format!("waits for {awaits}"),
         Stage::Preparing { start } => format!("is being sent, starts in {}", length(*start - now)),
-        Stage::Decided(decided) => format!("is accepted, starts in {}", length(decided.start - now)),
+        Stage::Decided(decided) => format!("has been accepted, starts in {}", length(decided.start - now)),
     }
 }
 
@@ -287,7 +287,9 @@ fn decided_lines(
                 time_as_of(no_return, now)
             ),
             (true, false) => "past the point of no return: the robots start".to_owned(),
-            (false, false) => "past the point of no return: only a stop can end it".to_owned(),
+            (false, false) => {
+                "past the point of no return: only a stop can prevent or end the act".to_owned()
+            }
         };
         lines.push(Line::from(vec![Piece::styled("decided ", DIM), Piece::raw(point)]));
     } else {

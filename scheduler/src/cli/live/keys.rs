@@ -132,7 +132,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
     });
 }
 
-const LINES: &str = "Enter or `go` starts the waiting act, `stop` or Ctrl-C stops all robots where they are, `home` stops them and then moves them to their default positions";
+const LINES: &str = "Enter or `go` starts the waiting act; `stop` or Ctrl-C stops all robots where they are; `home` stops them, then moves them to their default positions";
 
 /// Stops the mission by sending this process the signal that Ctrl-C sends.
 fn stop() {

@@ -29,34 +29,34 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress, detail: Detai
             )
         }
         Progress::Committed { act, window: Some(window), .. } => {
-            let leases = format!(": every lease reaches over the start, confirmed within {window}");
+            let leases = format!(": every lease extends beyond the start, confirmed within {window}");
             format!("starting `{act}`{}", if detail == Detail::Full { &leases } else { "" })
         }
         Progress::ActSkipped { act, fate } => format!("`{act}` {fate}"),
         Progress::Failed(failure) => format!("{}: {}", failure.robot, failure.kind),
         Progress::LinkLost { robot, reason, until } => {
             let until =
-                until.map_or_else(String::new, |until| format!(", given up at {}", time_of_day(until)));
+                until.map_or_else(String::new, |until| format!(", and will be given up at {}", time_of_day(until)));
             format!("{robot}: link lost ({reason}); it continues its script{until}")
         }
         Progress::Reattached { robot } => format!("{robot}: reconnected"),
-        Progress::GoingHome { act, .. } => format!("`{act}` moves the robots at rest to their default positions"),
+        Progress::GoingHome { act, .. } => format!("`{act}` moves the robots that are at rest to their default positions"),
         Progress::AtHome => "no device has to move to its default position".to_owned(),
         Progress::Approaching { act, to, .. } => {
-            format!("`{act}` moves the robots at rest to the first positions of `{to}`")
+            format!("`{act}` moves the robots that are at rest to the first positions of `{to}`")
         }
         Progress::NotApproached { act, reason } => format!("`{act}` is not played: {reason}"),
         Progress::NotHome { reason } => format!("the robots stay where they are: {reason}"),
         Progress::Dropped { robot } => format!("continuing without {robot}"),
         Progress::NtpLost { since } => format!(
-            "no answer from the NTP server since {}; this machine's clock runs unsynchronized",
+            "no answer from the NTP server since {}; this machine's clock is no longer synchronized",
             time_of_day(*since)
         ),
         Progress::NtpBack { offset_change } => {
             format!("the NTP server answers again; this machine's clock has drifted by {offset_change}")
         }
         Progress::JournalWrittenAgain => {
-            "the journal was removed or replaced and has been restored; `downbeat stop` reaches this mission again"
+            "the journal was removed or replaced and has been restored; `downbeat stop` can reach this mission again"
                 .to_owned()
         }
         Progress::JournalLost { reason } => format!("{reason}; stopping"),

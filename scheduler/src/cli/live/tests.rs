@@ -143,7 +143,7 @@ fn a_wait_for_a_time_counts_down_to_it() {
     check(&drawn(&model, 7_500_700, 60, 24), &["start   in 5.3 s"]);
     decided(&mut model);
     model.tell(at(6_000), &waits("bow", 66_000));
-    check(&drawn(&model, 6_000, 100, 24), &["then    `bow` waits for 19:30:00.000, in 1:00 min"]);
+    check(&drawn(&model, 6_000, 100, 24), &["then    `bow` waits for 19:30:00.000 (in 1:00 min)"]);
 }
 
 #[test]

@@ -19,7 +19,7 @@ use crate::server_clock::ServerClock;
 pub(super) fn parse(text: &str) -> Result<Span, String> {
     let over = parse_span(text)?;
     let fits = over >= Span::from_millis(100) && over <= Span::from_millis(600_000);
-    if fits { Ok(over) } else { Err("expected 100ms to 600s".to_owned()) }
+    if fits { Ok(over) } else { Err("expected a time from 100ms to 600s".to_owned()) }
 }
 
 impl Work<'_> {
@@ -61,7 +61,7 @@ impl Work<'_> {
         match left.filter(|left| *left <= over) {
             Some(_) => {
                 console::error(&format!(
-                    "the approach takes {over}, longer than the time until --at; choose a later start or a shorter approach"
+                    "the approach takes {over}, which is longer than the time until --at; choose a later start or a shorter approach"
                 ));
                 Err(Exit::Usage)
             }

@@ -14,7 +14,7 @@ use crate::journal::{Found, MissionState, Missions};
 /// Returns, as a sentence, which robots are taken, and by which missions.
 pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot], seize: bool) -> Result<(), String> {
     for refused in &missions.refused {
-        console::warn(&format!("{refused}; if a mission runs there, its robots are unknown"));
+        console::warn(&format!("{refused}; if a mission is running there, its robots are unknown"));
     }
     warn_of_unfinished(&missions.found, robots);
     let proves = |robot: &&FleetRobot| matches!(&robot.address, Address::Tcp { protection, .. } if *protection != Protection::Open);
@@ -24,15 +24,23 @@ pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot], seize: bool) 
 }
 
 fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {
-    let of_mission = |mission: &Found| {
+    let (mut taken, mut stops) = (Vec::new(), Vec::new());
+    for mission in missions.iter().filter(|mission| mission.life == MissionState::Running) {
         let (session, pid) = (&mission.opened.session, mission.opened.pid);
-        let taken = driven_by(mission, robots).into_iter();
-        let told = taken.map(|robot| format!("robot `{robot}` is in mission `{session}` (process {pid})"));
-        told.collect::<Vec<_>>()
+        let robots = driven_by(mission, robots);
+        if !robots.is_empty() {
+            stops.push(format!("`downbeat stop {session}`"));
+        }
+        taken.extend(robots.into_iter().map(|robot| {
+            format!("robot `{robot}` already takes part in the running mission `{session}` (process {pid})")
+        }));
+    }
+    let hint = match stops.as_slice() {
+        [] => return Ok(()),
+        [stop] => format!("wait until it ends, or stop it with {stop}"),
+        stops => format!("wait until these missions end, or stop them with {}", stops.join(" and ")),
     };
-    let running = missions.iter().filter(|mission| mission.life == MissionState::Running);
-    let taken: Vec<String> = running.flat_map(of_mission).collect();
-    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
+    Err(format!("{}; {hint}", taken.join("; ")))
 }
 
 /// Prints warnings about robots in missions that were cut off and never stopped: such robots may still hold commands of these missions.

@@ -63,7 +63,7 @@ pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[Fl
             at(named, "robot_id"),
             format!("{} would {all} have the id `{own_id}`", several(first, second, others)),
             "a different id for each robot",
-            Some("`robot_id` is the `id` that the robot itself declares".to_owned()),
+            Some("set `robot_id` to the `id` that the robot itself declares".to_owned()),
         );
     }
 }

@@ -105,7 +105,7 @@ pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
     };
     let mut volumes = BTreeMap::new();
     if let Some(at) = keep_out {
-        for (name, at) in findings.entries(&at, "name to a volume that no body may enter") {
+        for (name, at) in findings.entries(&at, "a map from each name to a volume that no body may enter") {
             volumes.extend(volume(findings, &at).map(|volume| (name.to_owned(), volume)));
         }
     }
@@ -132,7 +132,7 @@ fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
             _ if numbers.len() < ends.len() || !matches!(side.node, Node::List(_)) => sound = false,
             _ => {
                 let message = match *numbers {
-                    [least, most] => format!("{least} is not less than {most}"),
+                    [least, most] => format!("the minimum {least} is not less than the maximum {most}"),
                     _ => format!("found {} entries", ends.len()),
                 };
                 let swapped = match *numbers {
@@ -239,7 +239,7 @@ fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
 fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
     for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
         let message = format!("the drive already determines `{name}`");
-        let hint = Some("write the start position of the body as `start` of `drive`".to_owned());
+        let hint = Some("write the start position of the body as `start` in `drive`".to_owned());
         findings.add(Code::WrongType, at.key_place(), message, "`drive` without x, y and yaw", hint);
     }
 }

@@ -76,7 +76,7 @@ pub(super) fn read(
     init: &InitializationBlock,
 ) -> BTreeMap<DeviceId, Calibration> {
     let mut all = BTreeMap::new();
-    for (name, at) in findings.entries(at, "device to the movement that measures it") {
+    for (name, at) in findings.entries(at, "a map from each device to the movement that measures it") {
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.keys(&at, "the calibration of a device");
         let Some(CalibrateKeys { sensor, from, by, taken, sensor_delay: delay, visible }) = keys else {
@@ -112,7 +112,7 @@ fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), 
     let within = least..=largest;
     let reached = from.and_then(|from| [from, from + by].into_iter().find(|end| !within.contains(end)));
     if let Some(reached) = reached {
-        let message = format!("the movement would reach {reached}");
+        let message = format!("the movement would reach {reached}, which is outside the range of the device");
         let expected = format!("{least} to {largest}, the declared range of the device");
         findings.add(Code::OutOfRange, at.place(), message, expected, None);
     } else if by.abs() > largest - least {
@@ -131,7 +131,7 @@ fn sensor_delay(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
     if delay <= SENSOR_DELAY_MAX {
         return Some(delay);
     }
-    let message = format!("{delay} is too long for the delay of a sensor");
+    let message = format!("{delay} is too long for a sensor delay");
     findings.add(Code::BadDuration, at.place(), message, format!("at most {SENSOR_DELAY_MAX}"), None);
     None
 }
@@ -144,7 +144,7 @@ fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
         return Some(visible);
     }
     let message = format!("{visible} is more than half of the movement of {by}");
-    let hint = Some("this is how far the device has moved when the movement becomes visible".to_owned());
+    let hint = Some("`visible` is how far the device has moved when the movement becomes visible".to_owned());
     findings.add(Code::OutOfRange, at.place(), message, format!("at most {most}"), hint);
     None
 }

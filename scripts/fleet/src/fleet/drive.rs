@@ -131,7 +131,7 @@ fn read_twist(
 ) -> Option<Steering> {
     for (name, key) in [("wheel_radius", keys.wheel_radius), ("track", keys.track)] {
         if let Some(key) = key {
-            let message = format!("`{name}` is only for wheels");
+            let message = format!("`{name}` applies only to wheels");
             let hint = Some(format!("remove `{name}`"));
             findings.add(Code::UnknownKey, key.key_place(), message, "`speed` and `turn`", hint);
         }

@@ -211,12 +211,12 @@ pub(super) fn read_file(findings: &mut Reader, at: &At<'_>) -> LatencyFile {
     let mut file = LatencyFile::new();
     let keys = findings.keys(at, "the file of measured latencies");
     let Some(FileKeys { latency: Some(latency) }) = keys else { return file };
-    for (name, at) in findings.entries(&latency, "robot id to the latencies of its devices") {
+    for (name, at) in findings.entries(&latency, "a map from each robot id to the latencies of its devices") {
         let Some(robot) = id(findings, RobotId::new(name), &at, "a robot id of 1 to 256 characters") else {
             continue;
         };
         let devices = file.entry(robot).or_default();
-        for (name, at) in findings.entries(&at, "device id to its latency") {
+        for (name, at) in findings.entries(&at, "a map from each device id to its latency") {
             let device = id(findings, DeviceId::new(name), &at, "a device id of 1 to 256 characters");
             let measured = read_measured(findings, &at);
             devices.extend(device.zip(measured));
@@ -239,7 +239,8 @@ fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> 
     let (median, spread, p95) = (span(median), span(spread), span(p95));
     let (time_constant, tracking_lag) = (span(time_constant), span(tracking_lag));
     let trials = trials.and_then(|at| findings.count(&at, 1, TRIALS_MAX));
-    let measured = measured.and_then(|at| findings.text(&at, "an instant as text"));
+    let measured = measured
+        .and_then(|at| findings.text(&at, "a date and time as quoted text, such as '2026-05-01T19:30:00Z'"));
     let measured = measured.map(Into::into);
     let lags = lags.and_then(|at| findings.count(&at, 1, u32::from(LAGS_MAX)));
     let lags = lags.map_or(1, |lags| u8::try_from(lags).unwrap_or(LAGS_MAX));
@@ -276,7 +277,7 @@ fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> B
         return commanded.map(|device| (device.id.clone(), latency)).collect();
     }
     let mut own = BTreeMap::new();
-    for (name, at) in findings.entries(at, "device to its latency") {
+    for (name, at) in findings.entries(at, "a map from each device to its latency") {
         let known = || init.devices.iter().filter(takes_commands).map(|device| device.id.as_str());
         let device = device_named(init, name).filter(takes_commands);
         if device.is_none() {
@@ -350,7 +351,7 @@ pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &Latenc
     let known = || robots.iter().map(|(name, _)| name.as_str());
     let names: HashSet<&str> = known().collect();
     for robot in measured.keys().filter(|robot| !names.contains(robot.as_str())) {
-        let message = format!("latency of an unknown robot `{robot}`");
+        let message = format!("the latency file contains the unknown robot `{robot}`");
         let hint = findings.did_you_mean(robot.as_str(), known());
         let expected = downbeat_yaml::finding::one_of(known());
         findings.add(Code::StaleLatency, place_in_file(file, robot, None), message, expected, hint);
@@ -367,7 +368,7 @@ pub(super) fn warn_of_devices(
 ) {
     let known = || init.devices.iter().map(|device| device.id.as_str());
     for device in measured.keys().filter(|device| init.device(device.as_str()).is_none()) {
-        let message = format!("latency of an unknown device `{device}` of `{robot}`");
+        let message = format!("the latency file contains the unknown device `{device}` of `{robot}`");
         let hint = findings.did_you_mean(device.as_str(), known());
         let expected = downbeat_yaml::finding::one_of(known());
         findings.add(Code::StaleLatency, place_in_file(file, robot, Some(device)), message, expected, hint);

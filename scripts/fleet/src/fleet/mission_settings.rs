@@ -146,7 +146,7 @@ fn read_require(
         );
     }
     let mut required = Vec::new();
-    for (name, at) in findings.entries(at, "sensor to its required reading") {
+    for (name, at) in findings.entries(at, "a map from each sensor to its required reading") {
         let range = read_range(findings, &at);
         let sensor = sensor(findings, name, &at, init);
         required.extend(sensor.zip(range).map(|(sensor, range)| Requirement { sensor, range }));
@@ -168,7 +168,7 @@ fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
         _ => None,
     };
     if range.is_none() {
-        let message = format!("`{}` is not a range of readings", shortened(&text));
+        let message = format!("`{}` is not a valid range of sensor readings", shortened(&text));
         let hint = text.trim().split_at_checked(1).and_then(|(sign, bound)| {
             let word = if sign == ">" { "above" } else { "below" };
             let bound = bound.trim_start_matches('=').trim();

@@ -48,9 +48,9 @@ pub struct SimulatedMoves {
 /// Reads `moves`, such as `{elbow: {latency: 40ms, spread: 2ms, time_constant: 20ms, sensor: elbow_angle, noise: 0.1, delay: 5ms}}`.
 pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Vec<SimulatedMoves> {
     let mut moves = Vec::new();
-    for (name, at) in findings.entries(at, "device to its simulated motion") {
+    for (name, at) in findings.entries(at, "a map from each device to its simulated motion") {
         let device = device_by_position(findings, name, &at, init);
-        let keys = findings.keys(&at, "the movement of a device");
+        let keys = findings.keys(&at, "the simulated motion of a device");
         let Some(MovesKeys { latency, spread, time_constant, sensor, noise, delay }) = keys else { continue };
         let Some(device) = device else { continue };
         let mut time = |at: Option<At<'_>>| at.and_then(|at| findings.duration(&at)).unwrap_or_default();
@@ -65,7 +65,7 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBloc
 }
 
 fn read_noise(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
-    let expected = "a number of at least 0, in the unit of the sensor";
+    let expected = "a number of at least 0, in the sensor's unit";
     let noise = findings.number(at, expected)?;
     if noise < 0.0 {
         findings.add(Code::WrongType, at.place(), format!("found the number {noise}"), expected, None);

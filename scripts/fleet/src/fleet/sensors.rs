@@ -32,8 +32,9 @@ pub(super) fn sensor_at(
         let message = format!("the robot has no sensor `{}`", shortened(name));
         let expected = match sensors().next() {
             Some(_) => one_of(sensors()),
-            None => "a device with the control type `sensor`, but the description of the robot has none"
-                .to_owned(),
+            None => {
+                "a device with the control type `sensor`, but the robot's description has none".to_owned()
+            }
         };
         let hint = did_you_mean(name, sensors());
         findings.add(Code::UnknownSensor, place, message, expected, hint);

@@ -119,14 +119,14 @@ fn tell_no_chain(findings: &mut Reader, keys: &UrdfKeys<'_>, end: Option<&str>, 
             format!("the URDF has {} end links", leaves.len()),
             "a single arm, from the root to one end link".to_owned(),
             Some(format!(
-                "add the link at which the arm ends: `end:` with one of {}",
+                "set `end` to the last link of the arm: one of {}",
                 names(leaves.iter().map(String::as_str))
             )),
         ),
         NoChain::Unknown(links) => {
             let end = end.unwrap_or_default();
             let known = || links.iter().map(String::as_str);
-            let message = format!("no joint leads to a link `{}`", shortened(end));
+            let message = format!("no joint leads to the link `{}`", shortened(end));
             (message, one_of(known()), findings.did_you_mean(end, known()))
         }
         NoChain::Round => (
@@ -153,10 +153,18 @@ fn radii(findings: &mut Reader, keys: &UrdfKeys<'_>, tree: &Tree, chain: &[&Tree
     }
     let message = match untold.as_slice() {
         [] => "the description has no collision shapes".to_owned(),
-        links => format!("the collision shapes are not round about {}", names(links.iter().copied())),
+        links => {
+            format!("cannot determine a radius from the collision shapes of {}", names(links.iter().copied()))
+        }
     };
-    let hint = Some("write the `radius` of the links in metres, such as `radius: 0.06`".to_owned());
-    findings.add(Code::MissingKey, keys.urdf.place(), message, "cylinders, spheres, or a `radius`", hint);
+    let hint = Some("add the radius of the links in metres, as in `radius: 0.06`".to_owned());
+    findings.add(
+        Code::MissingKey,
+        keys.urdf.place(),
+        message,
+        "cylinders or spheres as collision shapes, or a `radius`",
+        hint,
+    );
     None
 }
 
@@ -171,7 +179,8 @@ impl<'a> Movers<'a> {
     fn of(findings: &mut Reader, keys: &'a UrdfKeys<'a>, tree: &Tree, init: &'a InitializationBlock) -> Self {
         let (mut named, mut unknown) = (BTreeMap::new(), 0);
         let known = || tree.joints.iter().map(|joint| joint.name.as_str());
-        let entries = keys.devices.as_ref().map(|at| findings.entries(at, "joint to its device"));
+        let entries =
+            keys.devices.as_ref().map(|at| findings.entries(at, "a map from each joint to its device"));
         for (name, at) in entries.unwrap_or_default() {
             if !known().any(|joint| joint == name) {
                 let message = format!("the URDF has no joint `{}`", shortened(name));
@@ -200,7 +209,7 @@ impl<'a> Movers<'a> {
                 format!("the robot has no device for the {joints} {}", names(missing.iter().copied()));
             let devices = self.init.devices.iter().map(|device| device.id.as_str());
             let hint = Some(format!(
-                "write the device of each joint, or a number if the joint does not move: `devices: {{{first}: 0}}`"
+                "assign each joint a device, or a fixed number if it does not move: `devices: {{{first}: 0}}`"
             ));
             findings.add(Code::UnknownDevice, keys.urdf.place(), message, one_of(devices), hint);
         }
@@ -305,7 +314,7 @@ mod tests {
         faults("urdf: arm.urdf, devices: {shoulder: 30}", &["the description has no collision shapes"]);
         faults(
             "urdf: arm.urdf, devices: {shoulder: pan}, end: foot, radius: 0.05",
-            &["no joint leads to a link `foot`"],
+            &["no joint leads to the link `foot`"],
         );
         faults(
             "urdf: arm.urdf, devices: {shoulder: pan, wrist: pan}, tip: [0, 0, 1], radius: 0.05",

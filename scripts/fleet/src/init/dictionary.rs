@@ -74,7 +74,9 @@ pub(super) fn block(
     let mut devices = Vec::new();
     for (group, otherwise) in [("devices", SETTER), ("sensors", READERS[0])] {
         let Some(group) = at(root, group) else { continue };
-        for (id, at) in findings.entries(&group, "device id to its driver and its range") {
+        for (id, at) in
+            findings.entries(&group, "a map from each device id to the driver and range of the device")
+        {
             let supplement = supplements.iter().find(|(device, _)| device == id).map(|(_, added)| added);
             let added = supplement.cloned().unwrap_or_default();
             devices.extend(device(findings, id, &at, otherwise, &added));
@@ -150,11 +152,11 @@ fn device(
     added: &Supplement,
 ) -> Option<Device> {
     let Node::Map(_) = at_device.node else {
-        findings.wrong_type(at_device, "a map with type, min_value, max_value");
+        findings.wrong_type(at_device, "a map with `type`, `min_value` and `max_value`");
         return None;
     };
     let call = match at(at_device, "type") {
-        Some(at) => findings.text(&at, "the call that drives or reads the device")?.into_owned(),
+        Some(at) => findings.text(&at, "the name of the call that drives or reads the device")?.into_owned(),
         None => otherwise.to_owned(),
     };
     let is_sensor = READERS.contains(&call.as_str());
@@ -174,7 +176,11 @@ fn device(
         return None;
     };
     if !is_sensor && default.is_some_and(|default| !(min..=max).contains(&default)) {
-        invalid(findings, at_device, &format!("default_value of `{id}` lies outside {min} to {max}"));
+        invalid(
+            findings,
+            at_device,
+            &format!("the `default_value` of `{id}` is outside the range from {min} to {max}"),
+        );
         return None;
     }
     let types = if is_sensor { sensor(min, max, added) } else { driven(min, max, added) };
@@ -198,8 +204,10 @@ fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
     for key in ["min_value", "max_value"] {
         if value(at.node, key).is_none() {
             let message = format!("device `{}` has no `{key}`", shortened(id));
-            let hint =
-                Some(format!("add it in the fleet file: `devices: {{{}: {{{key}: ...}}}}`", shortened(id)));
+            let hint = Some(format!(
+                "add the key in the fleet file: `devices: {{{}: {{{key}: ...}}}}`",
+                shortened(id)
+            ));
             findings.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
         }
     }

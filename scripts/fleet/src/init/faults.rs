@@ -51,12 +51,13 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
             Value::Mapping(device) => of_device(&mut findings, &place, device),
             other => {
                 let hint = Some(
-                    "begin each device with a dash and its `id`, and write the other keys below".to_owned(),
+                    "start each device with a dash and its `id`, and write its other keys on the lines below"
+                        .to_owned(),
                 );
                 add(
                     &mut findings,
                     place,
-                    format!("found {} in place of a device", kind(other)),
+                    format!("found {} instead of a device", kind(other)),
                     "a map with an `id`",
                     hint,
                 );
@@ -73,13 +74,15 @@ fn by_id(findings: &mut Reader, devices: &Mapping) {
     let first = devices.keys().find_map(Value::as_str).unwrap_or("elbow");
     let place = Place::default().of_key("devices");
     let before = findings.found.len();
-    let message = "found a map from id to device".to_owned();
-    let hint =
-        format!("put the devices into brackets, each with its id: `[{{id: {}, ...}}]`", shortened(first));
+    let message = "found a map with device ids as keys".to_owned();
+    let hint = format!(
+        "write a list of devices in brackets, each with its id: `[{{id: {}, ...}}]`",
+        shortened(first)
+    );
     add(findings, place, message, "a list of devices", Some(hint));
     if let Some(found) = findings.found.get_mut(before) {
         found.hint_in_block = Some(format!(
-            "write `- id: {}` in place of `{0}:`, and the keys of the device below it",
+            "write `- id: {}` instead of `{0}:`, and the other keys of the device below it",
             shortened(first)
         ));
     }
@@ -96,7 +99,7 @@ fn any_device() -> Mapping {
 fn of_number(findings: &mut Reader, place: &Place, count: usize) {
     if count == 0 || count > DEVICES_MAX {
         let expected = format!("1 to {DEVICES_MAX} devices");
-        let hint = (count > 0).then(|| "describe some of them as a separate robot".to_owned());
+        let hint = (count > 0).then(|| "move some of the devices to a separate robot".to_owned());
         add(findings, place.clone(), format!("found {}", counted(count, "device")), &expected, hint);
     }
 }
@@ -115,9 +118,9 @@ fn of_ids(findings: &mut Reader, place: &Place, devices: &[Value]) {
         known[at].1.push(index);
     }
     for (id, places) in known.iter().filter(|(_, places)| places.len() > 1) {
-        let message = format!("{} have the id `{}`", counted(places.len(), "device"), shortened(id));
+        let message = format!("{} have the same id `{}`", counted(places.len(), "device"), shortened(id));
         let place = place.below(Part::Index(places[1])).of_key("id");
-        let hint = Some("rename one of them, or remove it".to_owned());
+        let hint = Some("rename or remove the duplicates".to_owned());
         add(findings, place, message, "a unique id for each device", hint);
     }
 }
@@ -230,7 +233,7 @@ fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str
             let advice = all.find_map(|(key, value)| keys::advice(whose.level, key.as_str()?, value));
             let by_name = || match (whose.level, keys.iter().next()) {
                 (Level::Device, Some((Value::String(id), _))) if missing == "id" && keys.len() == 1 => {
-                    Some(format!("write `id: {}` and the other keys below it", shortened(id)))
+                    Some(format!("write `id: {}`, and the other keys below it", shortened(id)))
                 }
                 _ => None,
             };
@@ -251,9 +254,13 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         if found.contains("device `") { found.to_owned() } else { format!("{found}, for {}", whose.name) }
     };
     let Some((found, expected)) = message.split_once(", expected ") else {
-        let is_swapped = message.contains("lies above");
-        let expected = if is_swapped { "a min_value of at most max_value" } else { EXPECTED };
-        return (of(message), expected.to_owned(), is_swapped.then(|| "swap the two".to_owned()));
+        let is_swapped = message.contains("is greater than");
+        let expected = if is_swapped { "a `min_value` that does not exceed `max_value`" } else { EXPECTED };
+        return (
+            of(message),
+            expected.to_owned(),
+            is_swapped.then(|| "swap `min_value` and `max_value`".to_owned()),
+        );
     };
     let expected = match expected {
         "u32" | "u64" | "usize" => "a whole number",
@@ -289,14 +296,16 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         _ => found,
     };
     if expected == "field identifier" {
-        let hint = Some("write numbers with a decimal point: a comma starts the next key".to_owned());
-        return (format!("{found} instead of a key, in {}", whose.name), "a key".to_owned(), hint);
+        let hint = Some("write numbers with a decimal point: a comma separates keys".to_owned());
+        return (format!("{found} instead of a key in {}", whose.name), "a key".to_owned(), hint);
     }
-    let is_grid = found.starts_with("granularity");
+    let is_grid = found.starts_with("invalid granularity");
     let control_type = found.strip_prefix("unknown control type `").and_then(|rest| rest.strip_suffix('`'));
     let near = control_type.and_then(|name| keys::meant(Level::ControlTypes, name));
     let hint = hint.or_else(|| near.map(did_you_mean_this));
-    let hint = hint.or_else(|| is_grid.then(|| "write the smallest step of the device".to_owned()));
+    let hint = hint.or_else(|| {
+        is_grid.then(|| "set the granularity to the smallest step that the device can make".to_owned())
+    });
     (of(&found), expected.to_owned(), hint)
 }
 

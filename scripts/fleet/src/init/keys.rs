@@ -146,7 +146,8 @@ pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     }
     if level == Level::Device && (RANGES[..2].contains(&key) || ENDS.contains(&key)) {
         return Some(
-            "write `min_value` and `max_value` under each of its `available_control_types`".to_owned(),
+            "write `min_value` and `max_value` under each control type in `available_control_types`"
+                .to_owned(),
         );
     }
     let is_speed =

@@ -67,7 +67,8 @@ impl Supplement {
 /// Reads the key `devices` of a robot. `known` contains the ids of the devices in the robot's description.
 pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
     let mut read = Vec::new();
-    for (device, at) in findings.entries(at, "device to the keys missing from its description") {
+    for (device, at) in findings.entries(at, "a map from each device to the keys that its description lacks")
+    {
         if !known.contains(&device) {
             let message = format!("the robot has no device `{}`", shortened(device));
             let expected = one_of(known.iter().copied());

@@ -52,7 +52,7 @@ fn faults_of_a_description_are_found_with_their_lines() {
     );
     check_finding(
         &TANK.replace("\"default_value\": 0", "\"default_value\": 400"),
-        "default_value of `left` lies outside -100 to 100",
+        "the `default_value` of `left` is outside the range from -100 to 100",
         9,
     );
     check_finding(&TANK.replace("\"max_value\": 100", "\"max_value\": \"much\""), "`much`", 11);
@@ -122,10 +122,10 @@ fn a_script_inherits_the_limits_that_it_leaves_out() {
     assert_eq!(script("arm"), (-90.0, 90.0, 0.5, Some(0.25)));
     assert_eq!(script("leg"), (-9.0, 9.0, 3.0, None));
     let ambiguous = SHORT.replace(", control_types: [speed], granularity: 3", "");
-    check_finding(&ambiguous, "the control types that it supports differ", 14);
+    check_finding(&ambiguous, "the device's control types have different limits", 14);
     let nothing = SHORT
         .replace("      position: {min_value: -90, max_value: 90, granularity: 0.5, max_error: 0.25}\n", "");
-    check_finding(&nothing, "there is nothing to inherit it from", 7);
+    check_finding(&nothing, "the device has no control type to inherit it from", 7);
 }
 
 #[test]
@@ -150,17 +150,22 @@ fn a_word_that_is_none_of_those_expected_is_found_where_it_stands() {
 #[test]
 fn one_fault_of_a_block_is_one_finding() {
     for (wrong, right, says, line) in [
-        ("granularity: 0.5", "granularity: 0", "granularity 0, for `position` of the device `arm`", 7),
+        (
+            "granularity: 0.5",
+            "granularity: 0",
+            "invalid granularity 0, for `position` of the device `arm`",
+            7,
+        ),
         ("granularity: 0.5", "granularty: 0.5", "`position` of the device `arm` has no `granularity`", 7),
         (
             "min_value: -90, max_value: 90",
             "min_value: 90, max_value: -90",
-            "min_value 90 lies above max_value -90",
+            "min_value 90 is greater than max_value -90",
             7,
         ),
         ("max_value: 90", "max_value: 90deg", "found the text `90deg`", 7),
         ("    name: leg\n", "    default_value: 99\n", "default_value 99 of device `leg`", 10),
-        ("id: leg", "id: arm", "2 devices have the id `arm`", 9),
+        ("id: leg", "id: arm", "2 devices have the same id `arm`", 9),
     ] {
         let findings = init_of(&source(&SHORT.replacen(wrong, right, 1))).unwrap_err();
         let found: Vec<_> = findings.iter().map(|finding| (finding.message.as_str(), finding.line)).collect();

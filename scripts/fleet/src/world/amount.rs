@@ -78,7 +78,7 @@ pub(super) fn between<T: Copy + PartialOrd>(
     let (least, largest) = (read(findings, &from), read(findings, &to));
     let (least, largest) = (least?, largest?);
     if largest < least {
-        let expected = "a `from` of at most `to`";
+        let expected = "a `from` that does not exceed `to`";
         findings.add(Code::TimeOrder, to.place(), "`to` is less than `from`", expected, None);
         return None;
     }

@@ -122,9 +122,9 @@ pub(super) fn read(
         keys.at.as_ref(),
         "at",
         sent,
-        "with `act`, the robot refuses everything that is sent for this act",
+        "leave `at` out: with `act`, the robot refuses everything that is sent for that act",
     );
-    let why = "only a robot that dies comes back: use `lasts` for the duration";
+    let why = "only a robot that dies can come back: use `lasts` to set how long the incident lasts";
     unneeded(findings, keys.back_after.as_ref(), "back_after", what != What::Dies, why);
     if matches!(what, What::Stalls | What::LinkDown) && keys.lasts.is_none() {
         let message = "missing duration of the incident";
@@ -152,7 +152,7 @@ fn unneeded(findings: &mut Reader, at: Option<&At<'_>>, key: &str, is: bool, hin
             Code::UnknownKey,
             at.key_place(),
             message,
-            "a key for this kind of incident (`what`)",
+            "a key that is valid for this kind of incident (see `what`)",
             Some(hint.to_owned()),
         );
     }

@@ -109,7 +109,7 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<Lin
     let read_delay = delay.map(|at| read_delay(findings, &at));
     let jitter = jitter.map(|at| (at, findings.duration(&at)));
     if let (Some(Some(Delay::Quantiles(_))), Some((at, _))) = (&read_delay, &jitter) {
-        let expected = "quantiles, or a delay with jitter";
+        let expected = "either quantiles, or a delay with jitter";
         let message = "the quantiles of the delay already include the jitter";
         findings.add(Code::WrongType, at.key_place(), message, expected, Some("remove `jitter`".into()));
     }
@@ -117,8 +117,14 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<Lin
     if let Some((at, Some(loss))) = &loss
         && *loss >= 1.0
     {
-        let hint = Some("use an incident `link_down` to interrupt a link".to_owned());
-        findings.add(Code::WrongType, at.place(), "every message is lost", "less than 100%", hint);
+        let hint = Some("to interrupt a link, add a `link_down` incident".to_owned());
+        findings.add(
+            Code::WrongType,
+            at.place(),
+            "with a loss of 100%, no message ever arrives",
+            "less than 100%",
+            hint,
+        );
     }
     let resent_after = resent_after.map(|at| amount::positive_duration(findings, &at));
     let interruptions = interruptions.map(|at| read_interruptions(findings, &at)).unwrap_or_default();

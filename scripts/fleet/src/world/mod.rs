@@ -114,8 +114,11 @@ impl WorldReader<'_> {
         let WorldKeys { world, links, clocks, sensors, operator, incidents } =
             self.findings.keys(at, "the world file")?;
         let name = world.and_then(|at| self.findings.name(&at, "a name for this world"));
-        let links = links.map(|at| self.per_robot(&at, "robot or group to its link", link::read));
-        let clocks = clocks.map(|at| self.per_robot(&at, "robot or group to its clock", outside::read_clock));
+        let links =
+            links.map(|at| self.per_robot(&at, "a map from each robot or group to its link", link::read));
+        let clocks = clocks.map(|at| {
+            self.per_robot(&at, "a map from each robot or group to its clock", outside::read_clock)
+        });
         let robots = self.fleet.robots.len();
         Some(World {
             name: name.unwrap_or_default(),
@@ -132,11 +135,11 @@ impl WorldReader<'_> {
     fn per_robot<T: Clone>(
         &mut self,
         at: &At<'_>,
-        what: &str,
+        expected: &str,
         read: impl Fn(&mut Reader, &At<'_>, &str) -> Option<T>,
     ) -> Vec<Option<T>> {
         let mut found: Vec<(u8, Option<T>)> = vec![(0, None); self.fleet.robots.len()];
-        for (name, at) in self.findings.entries(at, what) {
+        for (name, at) in self.findings.entries(at, expected) {
             let named = self.named(name);
             let Some((rank, robots)) = named else {
                 self.unknown_robot(name, &at, true);
@@ -178,10 +181,10 @@ impl WorldReader<'_> {
 
     fn sensors(&mut self, at: &At<'_>) -> Vec<SensorWorld> {
         let mut sensors = Vec::new();
-        for (name, at) in self.findings.entries(at, "ROBOT/SENSOR to its reading") {
+        for (name, at) in self.findings.entries(at, "a map from each ROBOT/SENSOR to its reading") {
             let reading = outside::read_reading(&mut self.findings, &at);
             let Some((robot, sensor)) = name.split_once('/') else {
-                let message = format!("`{}` is not a robot and a sensor", shortened(name));
+                let message = format!("`{}` does not name a robot and a sensor", shortened(name));
                 let expected = "ROBOT/SENSOR, such as rover-1/range";
                 self.findings.add(Code::WrongType, at.key_place(), message, expected, None);
                 continue;
@@ -225,7 +228,7 @@ impl WorldReader<'_> {
                 let hint = self.findings.did_you_mean(&name, self.acts.iter().copied());
                 let message = format!("no act `{}`", shortened(&name));
                 let expected = match self.acts {
-                    [] => "no `act`: the scenario has none".to_owned(),
+                    [] => "no `act`, because the scenario has no acts".to_owned(),
                     acts => downbeat_yaml::finding::one_of(acts.iter().copied()),
                 };
                 self.findings.add(Code::UnknownAct, at.place(), message, expected, hint);

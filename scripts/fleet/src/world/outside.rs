@@ -108,8 +108,7 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
 /// Reads the readings of a sensor: a number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`. In the list, times and numbers may
 /// be random, too.
 pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
-    let number =
-        |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");
+    let number = |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number in the sensor's unit");
     if !matches!(at.node, Node::List(_)) {
         return between(findings, at, number).map(Reading::Drawn);
     }

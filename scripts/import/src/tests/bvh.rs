@@ -41,13 +41,10 @@ fn captures_that_are_wrong_are_refused_where_they_are() {
     check(&format!("{head}Frames: 2\nFrame Time: 0\n"), &["DB0062", "a frame lasts 0 s"]);
     check(
         &format!("{head}Frames: 2\nFrame Time: 0.1\n1\n"),
-        &["DB0066", "test:8:9", "`Frames: 2`, but the file has 1"],
+        &["DB0066", "test:8:9", "`Frames: 2`, but contains 1"],
     );
     check(&format!("{head}Frames: 2\nFrame Time: 0.1\n1\ninf\n"), &["DB0061", "test:11:1"]);
-    check(
-        &format!("{head}Frames: 1\nFrame Time: 0.1\n1\n2\n"),
-        &["test:8:9", "`Frames: 1`, but the file has 2"],
-    );
+    check(&format!("{head}Frames: 1\nFrame Time: 0.1\n1\n2\n"), &["test:8:9", "`Frames: 1`, but contains 2"]);
     let two = head.replace("1 Xrotation", "2 Xrotation Yrotation");
     check(&format!("{two}Frames: 2\nFrame Time: 0.1\n1 2\n3\n"), &["the file ends here", "`a.Yrotation`"]);
     check(

@@ -37,7 +37,11 @@ fn a_position_in_an_unknown_unit_is_noted_instead() {
     let csv = "t[s],x,y,z\n0,0,0,0\n1,1,1,1\n";
     let (text, outcome) = fleet(ImportFormat::Csv, csv.as_bytes(), &AXES);
     assert!(!text.contains("body") && !text.contains("space"), "{text}");
-    assert!(outcome.notes.iter().any(|note| note.contains("unit of `x`, `y`, `z`")), "{:?}", outcome.notes);
+    assert!(
+        outcome.notes.iter().any(|note| note.contains("unit of `x`, `y` and `z`")),
+        "{:?}",
+        outcome.notes
+    );
     let csv = "t[s],x[m],y[m]\n0,0,0\n1,1,1\n";
     let (text, outcome) = fleet(ImportFormat::Csv, csv.as_bytes(), &AXES[..2]);
     assert!(!text.contains("body"), "a plane is no space: {text}");

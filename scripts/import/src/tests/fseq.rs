@@ -63,7 +63,7 @@ fn sequences_that_lie_are_refused() {
     refused(&file, &[("r/a", "7")], "no channel 7");
     refused(&file, &[("r/a", "104")], "no channel 104");
     refused(&file, &[("r/a", "red")], "is not a list of channels");
-    refused(&file, &[("r/a*", "1-5/3")], "cannot be divided into devices of 3 channels");
+    refused(&file, &[("r/a*", "1-5/3")], "cannot be divided evenly into devices of 3 channels");
     refused(&file[..100], &[("r/a", "1")], "DB00");
     let changed = |at: usize, byte: u8| {
         let mut bytes = file.clone();
@@ -72,22 +72,25 @@ fn sequences_that_lie_are_refused() {
     };
     refused(&changed(7, 1), &[("r/a", "1")], "version 1");
     refused(&changed(20, 7), &[("r/a", "1")], "compression 7");
-    refused(&changed(13, 255), &[("r/a", "1")], "the ranges have 9 channels");
+    refused(&changed(13, 255), &[("r/a", "1")], "the channel ranges have 9 channels");
     refused(&changed(14, 41), &[("r/a", "1")], "40 frames, but its header states 41");
     refused(&changed(18, 0), &[("r/a", "1")], "0 ms per frame");
     refused(&changed(file.len() - 3, 0xff), &[("r/a", "1")], "DB0066");
     assert!(read(&plain(&[1, 2, 2, 3]), &[("r/a", "1")]).imported.is_some());
     let mut huge = plain(&[1]);
     huge[14..18].copy_from_slice(&u32::MAX.to_le_bytes());
-    refused(&huge, &[("r/a", "1")], "more than 1073741824 bytes");
+    refused(&huge, &[("r/a", "1")], "exceed the limit of 1073741824 bytes");
 }
 
 #[test]
 fn files_that_are_no_sequences_are_called_what_they_are() {
     let check = |bytes: &[u8], part: &str| super::refused(ImportFormat::Fseq, bytes, &["DB0001", part]);
     check(b"ESEQ\x01\0\0\0", "an effect sequence (ESEQ) of one model");
-    check(b"<?xml version=\"1.0\"?>", "the file is XML");
+    check(b"<?xml version=\"1.0\"?>", "not rendered (XML)");
     // The header of the first format version.
-    check(b"FSEQ\x1c\0\0\x01\x1c\0\x04\0", "version 1.0: save it as version 2");
+    check(
+        b"FSEQ\x1c\0\0\x01\x1c\0\x04\0",
+        "version 1.0 of FSEQ is not supported: save the file as version 2",
+    );
     check(b"PNG", "does not begin with PSEQ");
 }

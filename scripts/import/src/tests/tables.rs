@@ -276,7 +276,9 @@ fn a_scene_from_the_middle_of_a_timeline_is_noted_and_can_begin_at_once() {
     let options = ImportOptions { columns: columns.into(), ..ImportOptions::default() };
     let late = import_bytes(ImportFormat::Csv, "test", text.as_bytes(), &options);
     assert!(
-        late.notes.iter().any(|note| note.contains("first value at 10 s") && note.contains("--start 0s")),
+        late.notes
+            .iter()
+            .any(|note| note.contains("is at 10 s, and devices move") && note.contains("--start 0s")),
         "{:?}",
         late.notes
     );

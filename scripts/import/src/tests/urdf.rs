@@ -37,7 +37,7 @@ fn joints_and_limits_are_those_that_another_reader_finds() {
     for part in [
         "left out 7 fixed joints",
         "limited to one turn in each direction",
-        "granularity and max_error",
+        "granularity, max_error (both set to",
         "left out 3 efforts",
     ] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
@@ -61,11 +61,11 @@ fn descriptions_that_are_wrong_are_refused_in_their_lines() {
         "<robot xmlns:xacro='http://ros.org/wiki/xacro'>\n<xacro:macro/></robot>",
         &["robot.urdf:2:1", "xacro robot.urdf.xacro"],
     );
-    check("<robot name='r'/>", &["no joint that moves"]);
-    check(&joint("type='revolute'>"), &["DB0006", "robot.urdf:2:1", "has no limit"]);
+    check("<robot name='r'/>", &["the robot has no movable joints"]);
+    check(&joint("type='revolute'>"), &["DB0006", "robot.urdf:2:1", "missing limits of the joint `a`"]);
     check(
         &joint("type='revolute'><limit lower='1' upper='-1' velocity='1'/>"),
-        &["the limits of the joint `a` are 1 to -1"],
+        &["invalid limits of the joint `a`: from 1 to -1"],
     );
     check(
         &joint("type='revolute'><limit lower='nan' upper='1'/>"),

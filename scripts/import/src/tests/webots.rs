@@ -21,7 +21,11 @@ fn a_motion_arrives_and_a_star_keeps_the_joint_where_it_is() {
         (6_000.0, 0.2),
     ];
     assert_eq!(keyframes_of(&imported, "ArmUpperL"), upper);
-    assert!(outcome.notes.iter().any(|note| note.contains("10 values `*`")), "{:?}", outcome.notes);
+    assert!(
+        outcome.notes.iter().any(|note| note.contains("10 values written as `*`")),
+        "{:?}",
+        outcome.notes
+    );
 }
 
 #[test]

@@ -28,7 +28,7 @@ pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
             Step::Truth(truth) => Ok(Quantity::Truth(*truth)),
             Step::Variable(name) => known.variable(name, *span),
             Step::Time => {
-                let hint = "`t` is the time within a track's `formula`; a variable is written `$t`";
+                let hint = "`t` is the time and is only defined in the `formula` of a track; write a variable as `$t`";
                 Err(Fault::new(*span, "`t` is not defined here", "a number, a time or a variable").hint(hint))
             }
             Step::Negate => pop().and_then(|value| negated(value, *span)),
@@ -67,7 +67,7 @@ fn truth(value: Quantity, span: Span) -> Result<bool, Fault> {
     match value {
         Quantity::Truth(truth) => Ok(truth),
         Quantity::Amount(amount) => {
-            let message = format!("{} instead of a truth value", amount.unit.name());
+            let message = format!("{} instead of true or false", amount.unit.name());
             Err(Fault::new(span, message, "a comparison such as `$index < 3`"))
         }
     }
@@ -77,7 +77,7 @@ fn amount(value: Quantity, span: Span) -> Result<Amount, Fault> {
     match value {
         Quantity::Amount(amount) => Ok(amount),
         Quantity::Truth(truth) => {
-            let message = format!("the truth value {truth} instead of a number");
+            let message = format!("`{truth}` instead of a number");
             Err(Fault::new(span, message, "a number or a time")
                 .hint("use it as a condition: `if($a < 3, 10, 20)`"))
         }
@@ -192,7 +192,7 @@ fn scaled(amount: &Amount, unit: Unit, change: impl Fn(Num) -> Num) -> Amount {
 fn divisor(number: Num, span: Span) -> Result<Num, Fault> {
     if number.is_zero() {
         return Err(Fault::new(span, "division by zero", "a divisor other than 0")
-            .hint("avoid it with `if($a == 0, 0, 1 / $a)`"));
+            .hint("avoid a divisor of 0, as in `if($a == 0, 0, 1 / $a)`"));
     }
     Ok(number)
 }
@@ -214,13 +214,13 @@ pub(super) fn same_unit(two: Two, a: Unit, b: Unit, span: Span) -> Result<Unit, 
     if a == b {
         return Ok(a);
     }
-    let what = match two {
-        Two::Plus => "added",
-        Two::Minus => "subtracted",
-        Two::Modulo => "divided with a remainder",
-        _ => "compared",
+    let (a_name, b_name) = (a.name(), b.name());
+    let message = match two {
+        Two::Plus => format!("{a_name} and {b_name} cannot be added"),
+        Two::Minus => format!("{a_name} and {b_name} cannot be subtracted"),
+        Two::Modulo => format!("`%` and `mod` need two values of the same kind, found {a_name} and {b_name}"),
+        _ => format!("{a_name} and {b_name} cannot be compared"),
     };
-    let message = format!("{} and {} cannot be {what}", a.name(), b.name());
     let hint = a.hint_of_two(b).map(str::to_owned);
     Err(Fault::new(span, message, "two values of the same kind").hint_or(hint))
 }
@@ -237,7 +237,7 @@ pub(super) fn plain_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault
     if unit == Unit::PLAIN {
         return Ok(());
     }
-    let message = format!("`{name}` of {}", unit.name());
+    let message = format!("`{name}` is not defined for {}", unit.name());
     let hint = (unit == Unit::TIME).then(|| "divide the time by another time: `$a / 1s`".to_owned());
     Err(Fault::new(span, message, "a plain number").hint_or(hint))
 }
@@ -247,7 +247,7 @@ pub(super) fn angle_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault
     if unit == Unit::PLAIN || unit == Unit::ANGLE {
         return Ok(());
     }
-    let message = format!("`{name}` of {}", unit.name());
+    let message = format!("`{name}` is not defined for {}", unit.name());
     let hint = match unit.time {
         0 => None,
         _ => Some("divide the time by another time: `sin(360 * t / 8s)`".to_owned()),
@@ -276,9 +276,11 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
                 Function::Cos => plain(cosine),
                 _ => match sine(degrees).over(cosine) {
                     Some(tangent) => plain(tangent),
-                    None => {
-                        Err(Fault::new(span, "`tan` is not defined at this angle", "an angle other than 90"))
-                    }
+                    None => Err(Fault::new(
+                        span,
+                        "`tan` is not defined at this angle",
+                        "an angle that is not an odd multiple of 90 degrees",
+                    )),
                 },
             }
         }
@@ -293,7 +295,7 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
         Function::Sqrt => {
             plain_only(name, first.unit, span)?;
             if first.number.compared(Num::ZERO).is_lt() {
-                let message = format!("`sqrt` of {}", first.number.f64());
+                let message = format!("`sqrt` is not defined for {}", first.number.f64());
                 return Err(Fault::new(span, message, "a number of at least 0"));
             }
             plain(first.number.square_root())
@@ -340,12 +342,16 @@ fn chosen(arguments: Vec<Found>, span: Span) -> Found {
     let condition = truth(condition?, span)?;
     match (&yes, &no) {
         (Ok(Quantity::Amount(a)), Ok(Quantity::Amount(b))) if a.unit != b.unit => {
-            let message = format!("the two results of `if` are {} and {}", a.unit.name(), b.unit.name());
+            let message = format!(
+                "the two results of `if` are of different kinds: {} and {}",
+                a.unit.name(),
+                b.unit.name()
+            );
             return Err(Fault::new(span, message, "two values of the same kind"));
         }
         (Ok(Quantity::Amount(_)), Ok(Quantity::Truth(_)))
         | (Ok(Quantity::Truth(_)), Ok(Quantity::Amount(_))) => {
-            let message = "the two results of `if` are a number and a truth value";
+            let message = "one result of `if` is a number, but the other is true or false";
             return Err(Fault::new(span, message, "two values of the same kind"));
         }
         _ => {}

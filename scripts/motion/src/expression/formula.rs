@@ -221,7 +221,7 @@ impl Maker {
     fn number(&mut self, span: Span) -> Result<Unit, Fault> {
         match self.kinds.pop() {
             Some(Kind::In(unit)) => Ok(unit),
-            _ => Err(Fault::new(span, "a truth value instead of a number", "a number or a time")
+            _ => Err(Fault::new(span, "true or false instead of a number", "a number or a time")
                 .hint("use it as a condition: `if(t < 3s, 10, 20)`")),
         }
     }
@@ -229,7 +229,7 @@ impl Maker {
     fn truth(&mut self, span: Span) -> Result<(), Fault> {
         match self.kinds.pop() {
             Some(Kind::In(unit)) => {
-                let message = format!("{} instead of a truth value", unit.name());
+                let message = format!("{} instead of true or false", unit.name());
                 Err(Fault::new(span, message, "a comparison such as `t < 3s`"))
             }
             _ => Ok(()),
@@ -303,7 +303,11 @@ impl Maker {
                 self.truth(span)?;
                 let (Some(no), Some(yes)) = (no, yes) else { return Ok(()) };
                 if no != yes {
-                    let message = format!("the two results of `if` are {} and {}", yes.name(), no.name());
+                    let message = format!(
+                        "the two results of `if` are of different kinds: {} and {}",
+                        yes.name(),
+                        no.name()
+                    );
                     let hint = match (yes, no) {
                         (Kind::In(yes), Kind::In(no)) => yes.hint_of_two(no).map(str::to_owned),
                         _ => None,

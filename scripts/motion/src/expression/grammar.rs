@@ -23,6 +23,7 @@ use super::{Amount, Fault};
 use crate::exact::decimal;
 use downbeat_yaml::duration::{self, parse_duration};
 use downbeat_yaml::finding::did_you_mean;
+use downbeat_yaml::render::counted;
 use downbeat_yaml::shown::shortened;
 
 /// Maximum length of an expression, in characters.
@@ -99,7 +100,7 @@ pub const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
     ("if", Function::If, 3, 3),
 ];
 const WORDS: [&str; 7] = ["t", "pi", "true", "false", "and", "or", "not"];
-const VALUE: &str = "a number, a time, a variable such as `$a`, a function or a bracket";
+const VALUE: &str = "a number, a time, a variable such as `$a`, a function, or an expression in brackets";
 
 /// A parsed expression.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,9 +124,8 @@ pub fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expression, Fau
     let chars: Vec<char> = text.chars().take(LENGTH_MAX + 1).collect();
     if chars.len() > LENGTH_MAX {
         let message = format!("the expression has more than {LENGTH_MAX} characters");
-        return Err(
-            Fault::new((0, 1), message, format!("at most {LENGTH_MAX}")).hint("split it into variables")
-        );
+        return Err(Fault::new((0, 1), message, format!("at most {LENGTH_MAX}"))
+            .hint("move parts of the expression to variables"));
     }
     let mut parser = Parser { chars, at: 0, depth: 0, known, steps: Vec::new() };
     parser.spaces();
@@ -159,7 +159,7 @@ const ELSEWHERE: [(&str, &str); 9] = [
     ("||", "write `or`"),
     ("**", "powers are not supported: write `$a * $a`"),
     ("^", "powers are not supported: write `$a * $a`"),
-    ("?", "write a choice as `if($index < 3, 10, 20)`"),
+    ("?", "to choose between two values, write `if($index < 3, 10, 20)`"),
     ("=", "to compare, write `==`"),
     ("!", "write `not`"),
     (";", "separate arguments with commas"),
@@ -215,7 +215,7 @@ impl Parser<'_> {
         if self.depth > DEPTH_MAX {
             let message = "the expression is nested too deeply";
             return Err(Fault::new(self.here(), message, format!("at most {DEPTH_MAX} levels"))
-                .hint("split it into variables"));
+                .hint("move parts of the expression to variables"));
         }
         read(self)?;
         self.depth -= 1;
@@ -344,7 +344,7 @@ impl Parser<'_> {
         let hint = match (elsewhere, found) {
             (Some((_, hint)), _) => Some((*hint).to_owned()),
             (None, ',') => self.comma_hint(),
-            (None, ')') => Some("this closing bracket has no opening bracket".to_owned()),
+            (None, ')') => Some("this closing bracket has no matching opening bracket".to_owned()),
             (None, c) if c.is_ascii_digit() || matches!(c, '$' | '(') => {
                 Some("to multiply, write `*` between the two values".to_owned())
             }
@@ -421,7 +421,7 @@ impl Parser<'_> {
         };
         if !calls {
             let expected = format!("`{word}(...)`");
-            return Err(Fault::new(span, format!("missing arguments of the function `{word}`"), expected));
+            return Err(Fault::new(span, format!("missing arguments for the function `{word}`"), expected));
         }
         let open = self.take("(").unwrap_or_default();
         let mut count = 0;
@@ -435,11 +435,10 @@ impl Parser<'_> {
         self.closed(open)?;
         if !(least..=most).contains(&count) {
             let expected = match (least, most) {
-                (1, 1) => "1 argument".to_owned(),
-                (least, most) if least == most => format!("{least} arguments"),
+                (least, most) if least == most => counted(least, "argument"),
                 _ => format!("{least} to {most} arguments"),
             };
-            return Err(Fault::new(span, format!("`{word}` with {count}"), expected));
+            return Err(Fault::new(span, format!("`{word}` has {}", counted(count, "argument")), expected));
         }
         self.add(Step::Call(function, count), span);
         Ok(())
@@ -573,7 +572,7 @@ fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
 fn unreadable(text: &str, span: Span) -> Fault {
     let number: String = text.chars().take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     let hint = match &text[number.len()..] {
-        "deg" => Some("write only the number, in the unit that is expected here".to_owned()),
+        "deg" => Some("write only the number, in the expected unit".to_owned()),
         factor @ ("pi" | "t") => Some(format!("to multiply, write `{number} * {factor}`")),
         _ => duration::hint(text),
     };

@@ -31,9 +31,9 @@ impl Unit {
             (_, _, true) => "a percentage",
             (1, 0, _) => "a time",
             (0, 1, _) => "an angle",
-            (-1, 0, _) => "a value per time",
-            (-1, 1, _) => "an angle per time",
-            (1, 1, _) => "an angle times a time",
+            (-1, 0, _) => "a value per unit of time",
+            (-1, 1, _) => "an angle per unit of time",
+            (1, 1, _) => "the product of an angle and a time",
             (2.., 0, _) => "a product of times",
             _ => "a product of times and angles",
         }

@@ -35,18 +35,20 @@ impl fmt::Display for Unfit {
         match self {
             Self::Empty => write!(f, "the curve has no samples"),
             Self::Sample(index) => {
-                write!(f, "sample {index} is not a number, or not later than the previous sample")
+                write!(f, "sample {index} is not a number, or is not later than the previous sample")
             }
-            Self::Slack(slack) => write!(f, "{slack} is not a valid distance from a chord"),
-            Self::Grid => write!(f, "the grid contains no values"),
+            Self::Slack(slack) => write!(f, "invalid distance from the chord: {slack}"),
+            Self::Grid => write!(f, "the range contains no multiple of the granularity"),
             Self::Ends => write!(
                 f,
-                "the values at the ends are not numbers, or differ although there is only one sample"
+                "the start and end values are not numbers, or differ although the curve has only one sample"
             ),
             Self::Tolerance { smallest, at } => {
-                write!(f, "no steps are closer to the curve than {smallest}, at {at} ms")
+                write!(f, "steps cannot come closer to the curve than {smallest}, at {at} ms")
             }
-            Self::Budget { needed } => write!(f, "the ends alone need {needed} steps"),
+            Self::Budget { needed } => {
+                write!(f, "the start and the end of the curve alone need {needed} steps")
+            }
         }
     }
 }

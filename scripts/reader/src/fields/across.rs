@@ -227,7 +227,7 @@ impl Across {
             && !matches!(by, By::Random(_))
         {
             let message = "`seed` has no effect without `by: random`";
-            reader.add(Code::UnknownKey, at.key_place(), message, "`by: random` next to it", None);
+            reader.add(Code::UnknownKey, at.key_place(), message, "`by: random` next to `seed`", None);
         }
         Some(Self { by: by?, direction: direction? })
     }

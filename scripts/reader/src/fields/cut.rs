@@ -11,8 +11,11 @@ impl Reader {
     pub(super) fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
         let Some(rest) = others.first() else { return };
         let place = at.entry(rest, 0, &Node::Null).key_place();
-        let message =
-            format!("the value of `{}` ends at the comma, and `{}` remains", shortened(key), shortened(rest));
+        let message = format!(
+            "the comma ends the value of `{}`, so that `{}` is read as a key",
+            shortened(key),
+            shortened(rest)
+        );
         let (expected, hint) = match others {
             [_] => ("a decimal point", format!("write a decimal point: `{whole}.{}`", shortened(rest))),
             _ => (
@@ -29,7 +32,7 @@ impl Reader {
         let place = at.entry(key, 0, &Node::Null).place();
         let message = format!("the expression `{}` is cut off by a comma", shortened(text));
         let hint = Some(
-            "within `{` and `[`, put an expression that contains a comma in quotes: `\"max(1, 2)\"`"
+            "within `{` and `[`, put quotes around an expression that contains a comma: `\"max(1, 2)\"`"
                 .to_owned(),
         );
         self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);

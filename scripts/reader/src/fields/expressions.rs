@@ -111,7 +111,7 @@ fn no_quantity(node: &Node, name: &str, span: Span) -> Fault {
 
 fn too_many(span: Span) -> Fault {
     let most = downbeat_yaml::budget::EVALUATIONS_MAX;
-    let fault = Fault::new(span, "too many expressions", format!("at most {most} steps in all"));
+    let fault = Fault::new(span, "too many expressions", format!("at most {most} steps in total"));
     Fault { code: Code::TooMuch, ..fault.hint("split the scenario into several scenarios") }
 }
 
@@ -145,7 +145,7 @@ impl Reader {
         match self.music.length(amount.bars.as_fraction(), amount.beats.as_fraction()) {
             Ok(length) => Ok(clock.plus(length)),
             Err(why) => {
-                let expected = "a `tempo`, and a cue with a fixed start where the tempo changes";
+                let expected = "a `tempo`, and, if it changes, a cue with a fixed start";
                 let fault = Fault::new(span, why.message("beats and bars"), expected).hint(why.hint());
                 Err(Fault { code: Code::Music, ..fault })
             }
@@ -279,7 +279,7 @@ impl Reader {
         let amount = match value {
             Quantity::Amount(amount) => amount,
             Quantity::Truth(truth) => {
-                self.wrong_quantity(at, text, &format!("the truth value {truth}"), expected, None);
+                self.wrong_quantity(at, text, &format!("`{truth}`"), expected, None);
                 return None;
             }
         };
@@ -330,7 +330,7 @@ impl Reader {
                 return None;
             }
             Quantity::Truth(truth) => {
-                self.wrong_quantity(at, text, &format!("the truth value {truth}"), duration::EXPECTED, None);
+                self.wrong_quantity(at, text, &format!("`{truth}`"), duration::EXPECTED, None);
                 return None;
             }
         };
@@ -405,7 +405,7 @@ impl Reader {
                 None => return Err(self.unknown(name, span)),
             }
             if written.chars().count() > WRITTEN_MAX {
-                let message = "the expression becomes too long with its variables";
+                let message = "the expression is too long once its variables are replaced by their values";
                 return Err(Fault::new(span, message, format!("at most {WRITTEN_MAX} characters")));
             }
         }

@@ -66,7 +66,8 @@ impl Reader {
             (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
             (Some(value), false) => return Some(value.clone()),
             (Some(_), true) => {
-                let message = format!("a minus needs a number, but `{}` is not a number", shortened(name));
+                let message =
+                    format!("only numbers can have a minus sign, but `{}` is not a number", shortened(name));
                 self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
             }
             // The variables as a whole have already been reported.
@@ -97,7 +98,7 @@ impl Reader {
     /// Returns a hint for the variable `name`, which is used before or within its definition.
     pub fn move_up(&self, name: &str) -> String {
         format!(
-            "define `{}` above the variables that use it, with numbers or variables defined above it",
+            "define `{}` above the variables that use it, and use only numbers in it, or variables that are defined above it",
             shortened(name)
         )
     }
@@ -250,7 +251,7 @@ impl Reader {
         match self.music.span(text) {
             Some(Ok(length)) => return self.no_longer(at, text, length),
             Some(Err(why)) => {
-                let expected = "a `tempo`, and a cue with a fixed start where the tempo changes";
+                let expected = "a `tempo`, and, if it changes, a cue with a fixed start";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
             }
             None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),

@@ -63,7 +63,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
         &["armed", "enabled", "disabled", "active", "muted", "mute", "skip"],
-        "leave it out: every cue plays; to disable a cue, write `#` before its lines",
+        "leave it out: every cue plays; to disable a cue, write `#` at the start of its lines",
     ),
     (
         "a cue",
@@ -80,7 +80,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         &["frame", "frames", "frame_start"],
         "write a time with its unit, as in `at: 1s`; at 25 frames per second, a frame lasts 40ms",
     ),
-    ("a cue", &["cues"], "write them at the same level as this one, or as a sequence, under `sequences`"),
+    ("a cue", &["cues"], "write the cues at the same level as this cue, or as a sequence under `sequences`"),
     (
         "a keyframe",
         &[
@@ -101,7 +101,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a keyframe",
         &["delay", "wait", "pause", "hold"],
-        "leave it out: repeat the value in a keyframe with a later `at`",
+        "leave it out, and repeat the value in a keyframe with a later `at`",
     ),
     (
         "a keyframe",
@@ -121,7 +121,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a keyframe",
         &["handle_left", "handle_right", "handles", "tangent", "in_tangent", "out_tangent"],
-        "leave it out: `ease: smooth` eases in and out, and a `spline` passes through points without a stop",
+        "leave it out: `ease: smooth` eases in and out, and a `spline` passes through points without stopping",
     ),
     (
         "a track",
@@ -133,7 +133,11 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         &["shape", "form", "type", "waveform"],
         "leave it out: a wave is always a sine; use a `formula` for other shapes",
     ),
-    ("a wave", &["cycles", "times", "count", "repeat"], "write their total duration, as in `for: 8s`"),
+    (
+        "a wave",
+        &["cycles", "times", "count", "repeat"],
+        "write the total duration of the wave, as in `for: 8s`",
+    ),
     ("a wave", &["bpm", "tempo"], "write `period: 1 beat`, with the `tempo` at the top of the scenario"),
     ("`along`", &["circle", "points"], "define the path under `paths`, and refer to it: `path: NAME`"),
     (
@@ -160,7 +164,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "the scenario",
         &["robots", "groups", "drones", "swarm", "devices", "joints"],
-        "write it in the fleet file, and list its robots in each cue",
+        "write it in the fleet file, and list the robots in each cue",
     ),
     (
         "the scenario",
@@ -194,7 +198,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "the formation",
         &["square", "rectangle", "cube", "box", "matrix"],
-        "write `grid: {spacing: 1}`; with `columns` and `rows`, further robots form layers above",
+        "write `grid: {spacing: 1}`; with `columns` and `rows`, additional robots form layers above",
     ),
     (
         "the formation",
@@ -212,7 +216,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "robot",
         &["home", "unit", "units", "interpolation", "granularity", "tolerance", "default_value"],
-        "write it for each device in the description of the robot, the file that `init` names",
+        "write it for each device in the robot's description, the file that `init` refers to",
     ),
     ("robot", &["group", "groups"], "write it next to `robots`: `groups: {NAME: [ROBOT, ROBOT]}`"),
     ("robot", &["count", "number"], "write an entry for each robot, each with its own name and address"),
@@ -236,7 +240,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "the fleet file",
         &["geofence", "fence", "bounds", "obstacles", "floor"],
-        "write it as `space: {keep_in: {x: [-4, 4], y: [-4, 4]}}`, or `keep_out`",
+        "write it under `space`, as in `space: {keep_in: {x: [-4, 4], y: [-4, 4]}}`, or as `keep_out`",
     ),
     (
         "the fleet file",
@@ -252,7 +256,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "`simulate`",
         &["latency"],
-        "write `delay: [0ms, {given}]` for messages, or `moves: {DEVICE: {latency: {given}}}` for its motion",
+        "write `delay: [0ms, {given}]` to delay messages, or `moves: {DEVICE: {latency: {given}}}` to delay the motion of a device",
     ),
     (
         "`simulate`",
@@ -260,5 +264,5 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         "write it under `links` of a world file, for `downbeat dry-run --world`",
     ),
     ("`simulate`", &["noise"], "write it for each device: `moves: {DEVICE: {noise: {given}}}`"),
-    ("a keyframe of several values", &["ease"], "leave it out: several values are set at once"),
+    ("a keyframe of several values", &["ease"], "leave it out: keyframes of several values have no easing"),
 ];

@@ -59,7 +59,7 @@ pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     let first = keyframes.as_ref().and_then(|all| all.first()).map_or("{at: 0s, to: 0}", String::as_str);
     let in_lines = match at.node {
         Node::List(items) if items.iter().all(is_whole_or_single) => {
-            "time and value belong to one entry: replace the dash before the second one with two spaces"
+            "the time and the value belong to one entry: replace the dash before the second one with two spaces"
                 .to_owned()
         }
         _ => format!("write each keyframe as an entry of a list: `- {first}`"),

@@ -120,8 +120,8 @@ pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String>
         ("a tempo", "bar" | "from_bar" | "start") => Some(format!("write `at: bar {given}`")),
         ("`wait`", "operator" | "done") if *value == Node::Null => Some(format!("write `for: {key}`")),
         ("`circle`", "diameter") => Some(match value {
-            Node::Number(diameter) => format!("write half of it: `radius: {}`", diameter / 2.0),
-            _ => "write half of it as the `radius`".to_owned(),
+            Node::Number(diameter) => format!("write half of the diameter: `radius: {}`", diameter / 2.0),
+            _ => "write half of the diameter as the `radius`".to_owned(),
         }),
         _ => None,
     }
@@ -232,7 +232,7 @@ pub fn missing(what: &str, key: &str) -> Option<&'static str> {
         (_, "init") => {
             Some("add the path of the file that describes the robot, as in `init: robots/arm.yaml`")
         }
-        ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
+        ("a keyframe", _) => Some("a keyframe needs a time and a value, as in `{at: 1s, to: 45}`"),
         ("a spread", "across") => Some("add what the values are spread over, as in `across: group`"),
         ("a wave", "for") => Some("add the duration, as in `for: 8s`"),
         ("`grid`", "spacing") => Some("add the distance between neighbours in metres, as in `spacing: 1`"),

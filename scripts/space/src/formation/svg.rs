@@ -58,8 +58,8 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     let document = Document::parse_with_options(text, parsing).map_err(|error| unfit(error.into()))?;
     let paths = document.descendants().filter_map(|node| node.attribute("d"));
     if let Some(number) = paths.flat_map(numbers).find(|number| number.abs() > NUMBER_MAX) {
-        let message = format!("a path of the drawing contains the number {number:e}");
-        return Err(Unfit { message, expected: "numbers of at most a billion in paths" });
+        let message = format!("a path of the drawing contains a number that is too large: {number:e}");
+        return Err(Unfit { message, expected: "numbers of at most one billion in paths" });
     }
     let tree = Tree::from_xmltree(&document, &options).map_err(unfit)?;
     let mut pen = Pen::default();
@@ -71,7 +71,7 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     if pen.lines.is_empty() {
         // The tree contains no texts, because no fonts are loaded, so the document is searched.
         let message = if document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
-            "the drawing has no paths, only texts, which are not supported: convert them to paths"
+            "the drawing has only text and no paths: convert the text to paths"
         } else {
             "the drawing has no paths"
         };

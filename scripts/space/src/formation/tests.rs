@@ -129,7 +129,7 @@ fn a_drawing_of_texts_alone_is_told_to_have_no_paths_but_texts() {
     };
     assert_eq!(
         drawing("<text x='1' y='5'>hi</text>"),
-        "the drawing has no paths, only texts, which are not supported: convert them to paths"
+        "the drawing has only text and no paths: convert the text to paths"
     );
     assert_eq!(drawing(""), "the drawing has no paths");
 }

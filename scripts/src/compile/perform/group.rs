@@ -205,7 +205,7 @@ impl<'a> Performer<'_, 'a> {
         let hint = fix.unwrap_or_else(|| {
             match group.action {
                 Action::Form(_) => "make the formation smaller, or move it with `at`",
-                Action::Sweep(_) => "make it smaller, or start the group elsewhere",
+                Action::Sweep(_) => "make the movement smaller, or start the group elsewhere",
             }
             .to_owned()
         });

@@ -77,7 +77,10 @@ fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
     let show = choreography(smooth, &fleet);
     assert!(show.clone().at_speed(1.8, &fleet).is_ok());
     let faults = show.at_speed(1.9, &fleet).unwrap_err();
-    assert_eq!(faults, ["robot `a` device `slide` can move at most 1.826 times as fast as written (act ``)"]);
+    assert_eq!(
+        faults,
+        ["robot `a`, device `slide`: it can move at most 1.826 times as fast as written (act ``)"]
+    );
     let acts = "acts:
   - {act: one, cues: [{robots: a, tracks: {joint: [{at: 0s, to: 10}, {at: 2s, to: 30}]}}]}
   - {act: two, cues: [{robots: a, tracks: {joint: [{at: 1s, to: 15}]}}]}
@@ -87,7 +90,7 @@ fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
     let faults = show.clone().at_speed(1.5, &fleet).unwrap_err();
     assert_eq!(
         faults,
-        ["robot `a` device `joint` can move at most 1.333 times as fast as written (act `two`)"]
+        ["robot `a`, device `joint`: it can move at most 1.333 times as fast as written (act `two`)"]
     );
     // At the beginning of a single act, `run` asks the robot for its position.
     assert!(show.act_alone(1).at_speed(1.5, &fleet).is_ok());

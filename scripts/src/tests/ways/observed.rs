@@ -55,7 +55,9 @@ fn of(finding: &Finding) -> Vec<String> {
                 None => vec![format!("{finding:?}")],
             }
         }
-        Code::LeftInMotion => each(message, &|who| device(code, at, who)),
+        Code::LeftInMotion => {
+            each(message.split(" left ").next().unwrap_or_default(), &|who| device(code, at, who))
+        }
         Code::ActHasToWait => vec![act(code, named(message)[0])],
         Code::OutOfRange
         | Code::OffGranularity

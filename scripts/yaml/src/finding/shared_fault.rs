@@ -89,7 +89,7 @@ impl Affected {
         let others = self.devices.iter().filter(|(device, _)| *device != self.device);
         let others: Vec<_> = others.map(|(device, all)| format!("`{device}` of {}", named(all))).collect();
         if !others.is_empty() {
-            message += &format!("; the same for {}", others.join(", "));
+            message += &format!("; the same applies to {}", others.join(", "));
         }
         message
     }

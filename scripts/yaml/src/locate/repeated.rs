@@ -138,16 +138,16 @@ fn others(own: usize, mut lines: Vec<usize>) -> String {
     lines.dedup();
     let here = match here {
         0 => None,
-        1 => Some("again in this line".to_owned()),
-        more => Some(format!("{more} more times in this line")),
+        1 => Some("again on this line".to_owned()),
+        more => Some(format!("{more} more times on this line")),
     };
     let list = |lines: &[usize]| lines.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     let elsewhere = match lines.as_slice() {
         [] => None,
-        [line] => Some(format!("in line {line}")),
-        [all @ .., last] if lines.len() <= LISTED_MAX => Some(format!("in lines {} and {last}", list(all))),
+        [line] => Some(format!("on line {line}")),
+        [all @ .., last] if lines.len() <= LISTED_MAX => Some(format!("on lines {} and {last}", list(all))),
         lines => Some(format!(
-            "in {} other lines ({} and {} more)",
+            "on {} other lines ({} and {} more)",
             lines.len(),
             list(&lines[..3]),
             lines.len() - 3
@@ -178,11 +178,11 @@ mod tests {
     fn a_name_that_is_misspelt_again_and_again_is_one_finding_with_all_lines() {
         let typo = |line| found(Code::UnknownMove, line, "no move `wvae`", "did you mean `wave`?");
         assert_eq!(messages(vec![typo(3)]), ["no move `wvae`"]);
-        assert_eq!(messages(vec![typo(3), typo(7)]), ["no move `wvae`; the same mistake in line 7"]);
+        assert_eq!(messages(vec![typo(3), typo(7)]), ["no move `wvae`; the same mistake on line 7"]);
         let all = vec![typo(3), typo(3), typo(4), typo(4), typo(9)];
-        let expected = "no move `wvae`; the same mistake again in this line and in lines 4 and 9";
+        let expected = "no move `wvae`; the same mistake again on this line and on lines 4 and 9";
         assert_eq!(messages(all), [expected]);
-        let many = "no move `wvae`; the same mistake in 9 other lines (2, 3, 4 and 6 more)";
+        let many = "no move `wvae`; the same mistake on 9 other lines (2, 3, 4 and 6 more)";
         assert_eq!(messages((1..11).map(typo).collect()), [many]);
     }
 
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(*region, serde_json::json!({"startLine": 7, "startColumn": 9, "endColumn": 13}));
         // The message names the line for human readers, so the text shows only the first place.
         let text = crate::render::render(&joined, false);
-        assert!(text.contains("; the same mistake in line 7") && !text.contains("move: wvae"), "{text}");
+        assert!(text.contains("; the same mistake on line 7") && !text.contains("move: wvae"), "{text}");
     }
 
     #[test]
@@ -215,7 +215,7 @@ mod tests {
         let time = |line, value| {
             found(Code::BadDuration, line, &format!("the time {value} has no unit"), &format!("`{value}s`"))
         };
-        let expected = "the time 0 has no unit; the same mistake in lines 2 and 3";
+        let expected = "the time 0 has no unit; the same mistake on lines 2 and 3";
         assert_eq!(messages(vec![time(1, "0"), time(2, "1.5"), time(3, "20")]), [expected]);
         let robot = |line, name| found(Code::UnknownRobot, line, &format!("no robot `{name}`"), "none");
         assert_eq!(messages(vec![robot(1, "cf1"), robot(2, "cf2")]).len(), 2);

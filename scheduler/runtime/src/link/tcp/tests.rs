@@ -83,7 +83,7 @@ async fn next(happened: &mut mpsc::Receiver<Happened>) -> Event {
     }
 }
 
-/// Returns the events of a robot that writes these bytes. Checks that a well-behaved robot is not affected.
+/// Returns the first `count` events of a robot that writes `bytes`. Checks that a well-behaved robot is not affected.
 async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
     let clock = ServerClock::anchored(Span::ZERO);
     let (events, mut happened) = mpsc::channel(64);
@@ -136,7 +136,7 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
         (block(""), "0 devices, expected 1 to 32000"),
         (block(&format!("{},{}", device(1), device(1))), "duplicate device id `d1`"),
         (block(&twice), "duplicate field `id`"),
-        ("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes"),
+        ("x".repeat(17 * 1024 * 1024), "the line is too long, expected at most 16777216 bytes"),
         (r#"{"control_response":"#.repeat(100_000), "invalid JSON"),
         (format!(r#"{{"control_response":{}1}}"#, r#"{"status_value":["#.repeat(50_000)), ""),
         (
@@ -165,7 +165,7 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
     );
 }
 
-/// Returns the number of events from a robot that writes these bytes endlessly, and the last event.
+/// Returns the number of events from a robot that writes `bytes` endlessly, and the last event.
 async fn flooded_by(bytes: &'static [u8]) -> (u64, Event) {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, mut happened) = linked(listener.local_addr().unwrap().port());
@@ -208,7 +208,7 @@ async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
         assert!(count <= most + more_messages, "{count} events of {:?}", &bytes[..3]);
         let told = format!("{messages} messages, {came} bytes in {seconds} s");
         assert!(messages <= 1_200 + more_messages && came < 6 * 1024 * 1024 + more_bytes, "{told}");
-        assert!(reason.contains("the robot sends far more than requested"), "{reason}");
+        assert!(reason.contains("the robot is sending far more data than requested"), "{reason}");
     }
 }
 
@@ -238,7 +238,7 @@ async fn one_link_takes_no_more_of_the_queue_than_its_places() {
     assert!(tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_err());
 }
 
-/// Opens a link to this port of the local host. Returns the link and the receiver of its events.
+/// Opens a link to `port` of the local host. Returns the link and the receiver of its events.
 fn linked(port: u16) -> (Link, mpsc::Receiver<Happened>) {
     linked_as(crate::link::OfRobot::default(), port)
 }

@@ -19,9 +19,8 @@ impl Said<'_> {
             };
             match self.facts.acts.iter().rfind(same) {
                 Some(act) => self.act(act, said, wrong),
-                None => {
-                    wrong.push(format!("act {} is reported, but was not promised like that", said.number))
-                }
+                None => wrong
+                    .push(format!("the report contains act {}, but no such act was promised", said.number)),
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
@@ -32,7 +31,9 @@ impl Said<'_> {
         let reported = self.facts.acts.iter().filter(is_known);
         let missing = reported.map(|act| act.promise.number).filter(|number| !numbers.contains(number));
         if !self.is_withdrawn && self.report.acts_omitted == 0 {
-            wrong.extend(missing.map(|number| format!("act {number} was promised, but is not reported")));
+            wrong.extend(
+                missing.map(|number| format!("act {number} was promised, but is missing from the report")),
+            );
         }
     }
 
@@ -41,24 +42,27 @@ impl Said<'_> {
         let promise = act.promise;
         if said.start != promise.start + act.ahead {
             wrong.push(format!(
-                "act {number} is reported to start at {}, but {} was promised",
+                "act {number} starts at {} according to the report, but {} was promised",
                 said.start, promise.start
             ));
         }
         if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
-            wrong.push(format!("act {number} is reported with a lead of {}", said.lead.total()));
+            wrong.push(format!(
+                "act {number} is reported with a lead of {}, which was not promised",
+                said.lead.total()
+            ));
         }
         if !self.facts.was_resumed(act) {
             // The skew budgets are compared in the form of the journal, which omits derived values.
             let json = |skew: Option<&SkewBudget>| serde_json::to_value(skew).ok();
             if json(said.skew.as_ref()) != json(act.skew) {
-                wrong.push(format!(
-                    "act {number} is reported with a different skew budget than was announced"
-                ));
+                wrong.push(format!("act {number} is reported with a different skew budget than announced"));
             }
             if act.decided.is_some_and(|decided| decided.doubt != said.doubt) {
-                wrong
-                    .push(format!("act {number} is reported with {} of doubt, not as announced", said.doubt));
+                wrong.push(format!(
+                    "act {number} is reported with a doubt of {}, which was not announced",
+                    said.doubt
+                ));
             }
         }
         self.window(act, said, wrong);
@@ -66,7 +70,7 @@ impl Said<'_> {
         let spread = errors().max().zip(errors().min()).map(|(most, least)| most - least);
         if spread != said.spread {
             wrong.push(format!(
-                "act {number} is reported with a spread of {:?}, but its starts have {spread:?}",
+                "act {number} is reported with a spread of {:?}, but its starts have a spread of {spread:?}",
                 said.spread
             ));
         }
@@ -91,8 +95,9 @@ impl Said<'_> {
             _ => None,
         });
         let Some(at) = told else {
-            return wrong
-                .push(format!("act {number} is reported with a window of {window}, not as announced"));
+            return wrong.push(format!(
+                "act {number} is reported with a window of {window}, which was not announced"
+            ));
         };
         for robot in act.robots() {
             let out = self.facts.dropped[robot].is_some_and(|dropped| dropped <= at);
@@ -100,7 +105,9 @@ impl Said<'_> {
             let heard =
                 heard.filter(|(_, what)| matches!(what, Happened::AtRobot(r, _) if *r == robot)).count();
             if heard == 0 && !out && self.facts.honest(robot) && !self.facts.clock_was_set(robot) {
-                wrong.push(format!("r{robot} received nothing in the window of act {number}"));
+                wrong.push(format!(
+                    "r{robot} received no message within the commitment window of act {number}"
+                ));
             }
         }
     }
@@ -131,9 +138,9 @@ impl Said<'_> {
                 Some(script) => self.script(act, script, device, wrong),
                 // The robot was left out before anything was promised to it.
                 None if said.left_out && device.state == DeviceState::Planned => {}
-                None => {
-                    wrong.push(format!("r{robot} is reported with a script that act {number} does not have"))
-                }
+                None => wrong.push(format!(
+                    "the report of r{robot} contains a script that is not part of act {number}"
+                )),
             }
         }
     }
@@ -152,28 +159,31 @@ impl Said<'_> {
         let (set, written) = (script.steps_set(), script.steps_written());
         let done = said.steps_done as usize;
         if said.steps_planned != written {
-            wrongly(format!("{} steps are reported as planned, but {written} are", said.steps_planned));
+            wrongly(format!(
+                "{} steps are reported as planned, but the script has {written}",
+                said.steps_planned
+            ));
         }
         let over = matches!(said.state, DeviceState::Ended | DeviceState::Failed);
         // If the clock was set between two processes, the robot's report about its script may seem impossible.
         let by_its_clock = act.ahead == self.facts.ran.server_ahead;
         let known = over && by_its_clock && !self.is_discredited(robot) && self.facts.counts_steps(robot);
         if done > set || (known && done != set) {
-            wrongly(format!("{done} steps are reported as done, but {set} were set"));
+            wrongly(format!("{done} steps are reported as done, but {set} were executed"));
         }
         if said.state == DeviceState::Ended && set != written {
-            wrongly(format!("reported as ended, but {set} of {written} steps were set"));
+            wrongly(format!("reported as ended, but {set} of {written} steps were executed"));
         }
         if said.state == DeviceState::Planned && script.began() {
-            wrongly("reported as not sent, but it moved".to_owned());
+            wrongly("reported as not sent, but the script started".to_owned());
         }
         if said.state == DeviceState::Started && !script.began() {
-            wrongly("reported as started, but it did not move".to_owned());
+            wrongly("reported as started, but the script did not start".to_owned());
         }
         let late = script.steps().filter(|entry| entry.set_at - entry.due > LATE).count();
         let said_late = said.late_steps as usize;
         if said_late > late || (said.state == DeviceState::Ended && known && said_late != late) {
-            wrongly(format!("{said_late} late steps are reported, but {late} were late"));
+            wrongly(format!("{said_late} late steps are reported, but {late} steps were late"));
         }
         // A response without a request id is assigned to the next matching script. If an earlier response was lost, that is the wrong
         // script.
@@ -195,10 +205,10 @@ fn wrong_start(
 ) -> Option<String> {
     let started = said.started_at?;
     let Some(first) = script.log.first() else {
-        return Some(format!("reported as started at {started}, but it did not move"));
+        return Some(format!("reported as started at {started}, but the script did not start"));
     };
     if (first.set_at - started).abs() > GRAIN {
-        return Some(format!("reported as started at {started}, but it started at {}", first.set_at));
+        return Some(format!("reported as started at {started}, but the script started at {}", first.set_at));
     }
     let error = error_by_its_clock(act, script, first);
     // If the record of the offset is lost, only the robot knows it.
@@ -207,7 +217,10 @@ fn wrong_start(
         |said: Span| (said - error).abs() <= GRAIN || by_robot.is_some_and(|it| (said - it).abs() <= GRAIN);
     let differs = said.start_error.map_or(!lost, |said| !is(said));
     differs.then(|| {
-        format!("reported as started {:?} from its plan, but it started {error} from it", said.start_error)
+        format!(
+            "reported as started {:?} off its plan, but the script started {error} off its plan",
+            said.start_error
+        )
     })
 }
 

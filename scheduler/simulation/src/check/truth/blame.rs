@@ -28,7 +28,7 @@ impl Said<'_> {
         for row in self.report.robots.iter().filter(|row| row.standing == Standing::Out) {
             let failed = self.report.failures.iter().any(|failure| failure.robot == row.robot);
             if !failed {
-                wrong.push(format!("{} is out, but the report does not contain the reason", row.robot));
+                wrong.push(format!("{} was left out, but the report does not give the reason", row.robot));
             }
         }
     }

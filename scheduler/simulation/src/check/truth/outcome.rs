@@ -38,7 +38,7 @@ impl Said<'_> {
         let ill = |row: &&RobotReport| row.standing != Standing::In || row.unaccounted > 0;
         if let Some(row) = self.report.robots.iter().find(ill) {
             wrong.push(format!(
-                "done, and {} is {:?} with {} unknown",
+                "reported as done, but {} is {:?} with {} scripts unaccounted for",
                 row.robot, row.standing, row.unaccounted
             ));
         }
@@ -56,7 +56,7 @@ impl Said<'_> {
                     drawn.delay.1 * 2 + drawn.robots[robot].slow + self.slowest(robot) * 2 + CLOCK_ERROR;
                 if off > act.written.plan.start_tolerance + unknown {
                     wrong.push(format!(
-                        "done, and r{robot} was {off} off the plan at the end of act {}",
+                        "reported as done, but r{robot} was {off} off the plan at the end of act {}",
                         act.promise.number
                     ));
                 }
@@ -68,17 +68,17 @@ impl Said<'_> {
         let (robot, name) = (script.robot, script.promised.request_id.as_str());
         let (set, written) = (script.steps_set(), script.steps_written());
         if set != written {
-            wrong.push(format!("done, and r{robot} set {set} of {written} steps of {name}"));
+            wrong.push(format!("reported as done, but r{robot} executed {set} of {written} steps of {name}"));
         }
         let Some(first) = script.log.first() else { return };
         let tolerance = act.written.plan.start_tolerance;
         let error = error_by_its_clock(act, script, first);
         if error.abs() > tolerance {
-            wrong.push(format!("done, and r{robot} started {name} {error} from its plan"));
+            wrong.push(format!("reported as done, but r{robot} started {name} {error} off its plan"));
         }
         let late = script.steps().map(|step| step.set_at - step.due).max();
         if let Some(late) = late.filter(|late| *late > tolerance && self.facts.counts_steps(script.robot)) {
-            wrong.push(format!("done, and r{robot} set a step of {name} {late} late"));
+            wrong.push(format!("reported as done, but r{robot} executed a step of {name} {late} late"));
         }
     }
 
@@ -92,7 +92,9 @@ impl Said<'_> {
             }
         }
         if self.facts.dropped.iter().all(Option::is_none) && self.report.failures.is_empty() {
-            wrong.push("done without robots that failed, but none was left out".to_owned());
+            wrong.push(
+                "reported as done without the robots that failed, but no robot was left out".to_owned(),
+            );
         }
     }
 
@@ -108,7 +110,7 @@ impl Said<'_> {
             // A process that only withdraws the mission cannot know that such a robot started an undecided script.
             let is_known = !self.is_withdrawn || self.facts.drawn().robots[robot].block.pending_until;
             if moved && sure && is_known {
-                wrong.push(format!("reported as not started, but {} moved and is accounted for", row.robot));
+                wrong.push(format!("reported as not started, but {} moved, and the report does not list its actions as unknown", row.robot));
             }
         }
     }
@@ -117,7 +119,7 @@ impl Said<'_> {
     fn has_a_reason(&self, wrong: &mut Vec<String>) {
         let waited = self.report.course.iter().any(|act| matches!(act.fate, ActFate::TimedOut { .. }));
         if self.report.failures.is_empty() && self.report.because.is_none() && !waited {
-            wrong.push("failed, but no reason is given".to_owned());
+            wrong.push("reported as failed, but without a reason".to_owned());
         }
     }
 
@@ -127,7 +129,7 @@ impl Said<'_> {
         let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
         let begun = self.facts.acts.iter().filter(written).count();
         if let Some(most) = drawn.acts_max.filter(|most| begun > *most as usize) {
-            wrong.push(format!("{begun} acts began, but at most {most} may"));
+            wrong.push(format!("{begun} acts started, but at most {most} were allowed"));
         }
     }
 
@@ -180,7 +182,7 @@ impl Said<'_> {
             if !truth || course.played as usize > ended.min(with_robots) {
                 let sent = sent.len();
                 wrong.push(format!(
-                    "`{}` is {:?}, it was sent {sent} times, began: {began}",
+                    "`{}` is reported as {:?} (sent {sent} times, started: {began})",
                     course.act, course.fate
                 ));
             }

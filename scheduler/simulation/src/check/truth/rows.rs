@@ -47,14 +47,20 @@ impl Said<'_> {
             ("scripts unaccounted for", row.unaccounted as u64, unaccounted as u64),
         ];
         for (what, said, truth) in said.into_iter().filter(|(_, said, truth)| said != truth) {
-            wrong.push(format!("{} reports {said} {what} in total, but its acts have {truth}", row.robot));
+            wrong.push(format!(
+                "the total for {} is reported as {said} {what}, but its acts have {truth}",
+                row.robot
+            ));
         }
         if row.started == row.scripts && row.accepted != (row.scripts > 0) {
-            wrong.push(format!("{} started {} scripts, accepted: {}", row.robot, row.started, row.accepted));
+            wrong.push(format!(
+                "{} is reported with {} started scripts, but accepted is {}",
+                row.robot, row.started, row.accepted
+            ));
         }
         if row.start_error.map(urrcp::Span::abs) != error {
             wrong.push(format!(
-                "{} started at most {:?} off, but its acts report {error:?}",
+                "the largest start error of {} is reported as {:?}, but its acts report {error:?}",
                 row.robot, row.start_error
             ));
         }
@@ -74,7 +80,7 @@ impl Said<'_> {
         let joins = self.facts.drawn().join == Join::NextAct;
         if !joins && told > row.reconnects as usize {
             wrong.push(format!(
-                "{} reconnected {told} times, but its report contains {}",
+                "{} reconnected {told} times, but the report says {}",
                 row.robot, row.reconnects
             ));
         }
@@ -86,7 +92,10 @@ impl Said<'_> {
         let drawn = &self.facts.drawn().robots[robot];
         let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
         if lies && row.scripts > 0 && self.report.outcome == Outcome::Done {
-            wrong.push(format!("done, by the word of {} for more steps than there are", row.robot));
+            wrong.push(format!(
+                "reported as done, although {} claimed more steps than its scripts have",
+                row.robot
+            ));
         }
         if !self.facts.honest(robot) {
             return;
@@ -95,14 +104,14 @@ impl Said<'_> {
         let truth = self.facts.acts.iter().flat_map(|act| act.of(robot)).filter(began).count();
         if row.started > truth {
             wrong.push(format!(
-                "{} is reported to have started {} scripts, but started {truth}",
+                "{} is reported to have started {} scripts, but it started {truth}",
                 row.robot, row.started
             ));
         }
         let sure = !row.stop.is_unconfirmed() && row.unaccounted == 0;
         if sure && !self.is_withdrawn && !self.is_discredited(robot) && row.started != truth {
             wrong.push(format!(
-                "{} started {truth} scripts, but the report is certain of {}",
+                "{} started {truth} scripts, but the report states {} with certainty",
                 row.robot, row.started
             ));
         }
@@ -122,21 +131,24 @@ impl Said<'_> {
                 }
                 (ended, "the stop that it is reported to have confirmed")
             }
-            StopState::TakenOver => {
-                (ended, "another mission had it, and it is reported to hold nothing of this one")
-            }
+            StopState::TakenOver => (
+                ended,
+                "another mission took it over and the report said that no commands of this mission were left on it",
+            ),
             // A process that stalled, or whose clock was set back, continues with a script that the report lists as unknown.
             StopState::NotSent if row.unaccounted > 0 => {
                 let later = self.stood_still(robot) + self.set_back(robot) + DRIFT;
-                let what = "the end, and the time for which its process stalled or its clock was set back";
+                let what = "the end of the mission plus the time for which its process stalled or its clock was set back";
                 (ended.map(|ended| ended + later), what)
             }
-            StopState::NotSent => (ended, "the end, and no stop is reported to be needed"),
+            StopState::NotSent => {
+                (ended, "the end of the mission, although the report says that it needed no stop")
+            }
             StopState::Unconfirmed { lease_ends } => {
                 let grace = DRIFT + self.slowest(robot);
                 let ends = lease_ends.filter(|_| !self.facts.clock_was_set(robot));
                 let ends = ends.map(|ends| ends - self.facts.ran.server_ahead);
-                (ends.map(|ends| ends + grace), "the end of its lease as reported")
+                (ends.map(|ends| ends + grace), "the reported end of its lease")
             }
         };
         let Some(rests_from) = rests_from else { return };
@@ -176,10 +188,13 @@ impl Said<'_> {
         let report = self.report;
         let first = report.acts.first();
         if report.start != first.map(|act| act.start) || report.lead != first.map(|act| act.lead) {
-            wrong.push("start and lead of the report differ from those of its first act".to_owned());
+            wrong.push("the start and lead in the report differ from those of its first act".to_owned());
         }
         if report.spread != report.acts.iter().filter_map(|act| act.spread).max() {
-            wrong.push(format!("the largest spread is reported as {:?}", report.spread));
+            wrong.push(format!(
+                "the largest spread is reported as {:?}, which does not match the acts",
+                report.spread
+            ));
         }
         let told = |from: Option<Timestamp<Server>>| {
             let told = self.facts.ran.history.iter().filter(|(at, happened)| match happened {

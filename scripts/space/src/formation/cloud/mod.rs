@@ -41,11 +41,11 @@ const FORMATS: [(&str, Format); 3] = [("ply", Format::Ply), ("stl", Format::Stl)
 pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
     let end = Path::new(name).extension().and_then(|end| end.to_str()).unwrap_or("").to_ascii_lowercase();
     let Some((_, format)) = FORMATS.iter().find(|(known, _)| *known == end) else {
-        let message = "unknown extension of the file name".to_owned();
-        return Err(Unfit { message, expected: "a file name that ends with .ply, .stl or .csv" });
+        let message = "unknown file name extension".to_owned();
+        return Err(Unfit { message, expected: "a file name that ends in .ply, .stl or .csv" });
     };
     if let Some(what) = formats::binary(bytes) {
-        let message = format!("this is {what}, which does not match the extension of the file name");
+        let message = format!("this is {what}, which does not match the file name extension");
         return Err(Unfit { message, expected: format.expected() });
     }
     let cloud = match format {
@@ -68,7 +68,7 @@ pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
 impl Format {
     const fn expected(self) -> &'static str {
         match self {
-            Self::Ply => "a PLY file with 1 to 1000000 elements `vertex` that have `x`, `y` and `z`",
+            Self::Ply => "a PLY file with 1 to 1000000 `vertex` elements that have `x`, `y` and `z`",
             Self::Stl => "an STL file with 1 to 1000000 triangles",
             Self::Csv => "a table with three columns of numbers, x, y and z",
         }

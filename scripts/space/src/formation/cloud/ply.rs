@@ -59,7 +59,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
         let is_bounded = header.encoding == Encoding::Ascii || !element.properties.is_empty();
         if element.count > bytes.len() || !is_bounded {
             return Err(unfit(format!(
-                "the file is too short for its {} elements `{}`",
+                "the file is too short for its {} `{}` elements",
                 element.count,
                 shown(name)
             )));
@@ -74,12 +74,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
         }
         let lacks = |axis: &&str| !element.properties.iter().any(|(known, _)| known.as_str() == *axis);
         if let Some(axis) = ["x", "y", "z"].into_iter().find(lacks) {
-            return Err(unfit(format!("the element `vertex` has no `{axis}`")));
+            return Err(unfit(format!("the `vertex` element has no property `{axis}`")));
         }
         let vertices = parser.read_payload_for_element(&mut reader, element, &header).map_err(failed)?;
         return Ok(vertices.into_iter().map(|Vertex(point)| point).collect());
     }
-    Err(unfit("the file has no element `vertex`".to_owned()))
+    Err(unfit("the file has no `vertex` element".to_owned()))
 }
 
 /// Returns the first line of a message from the library, shortened.

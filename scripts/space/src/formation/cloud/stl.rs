@@ -34,7 +34,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     if surface.iter().any(|triangle| area(triangle) > 0.0) {
         Ok(surface)
     } else {
-        Err(unfit("the file has no triangle with an area above 0".to_owned()))
+        Err(unfit("all triangles in the file have an area of 0".to_owned()))
     }
 }
 

@@ -75,7 +75,7 @@ fn a_drawing_with_an_arc_beyond_all_measure_is_refused_soon() {
     {
         let told = crate::formation::svg::read(path(data).as_bytes()).unwrap_err();
         assert!(
-            told.message.starts_with("a path of the drawing contains the number"),
+            told.message.starts_with("a path of the drawing contains a number that is too large"),
             "{data}: {}",
             told.message
         );
@@ -101,7 +101,7 @@ fn vertices_are_read_from_text_and_binary() {
     let endless = "ply\nformat binary_little_endian 1.0\nelement a 99\nend_header\n";
     refused("a.ply", endless.as_bytes(), "");
     let flat = TEXT_PLY.replace("property float z", "property float w");
-    refused("a.ply", flat.as_bytes(), "the element `vertex` has no `z`");
+    refused("a.ply", flat.as_bytes(), "the `vertex` element has no property `z`");
     refused("a.ply", b"ply\nformat ascii 1.0\n", "missing end of the PLY header");
 }
 
@@ -118,7 +118,7 @@ fn triangles_are_read_from_text_and_binary() {
     assert_eq!(read("a.stl", &binary_stl()), square);
     let short = binary_stl().len() - 1;
     refused("a.stl", &binary_stl()[..short], "");
-    refused("a.stl", b"solid nothing\nendsolid nothing\n", "no triangle");
+    refused("a.stl", b"solid nothing\nendsolid nothing\n", "all triangles in the file have an area of 0");
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn a_file_that_is_not_what_its_name_says_is_refused() {
     refused("a.ply", b"\x89PNG\r\n", "a picture");
     refused("a.ply", &binary_stl(), "not a PLY");
     refused("a.stl", TEXT_PLY.as_bytes(), "not an STL");
-    refused("a.obj", b"v 1 2 3", "unknown extension");
+    refused("a.obj", b"v 1 2 3", "unknown file name extension");
 }
 
 #[test]

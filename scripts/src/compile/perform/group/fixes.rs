@@ -66,7 +66,7 @@ impl<'f> Fixes<'f> {
         match changes.as_slice() {
             [] => None,
             [only] => Some(only.clone()),
-            several => Some(format!("any one of: {}", several.join("; "))),
+            several => Some(format!("one of these is enough: {}", several.join("; "))),
         }
     }
 
@@ -85,9 +85,9 @@ impl<'f> Fixes<'f> {
                 match (sweep.grow == 1.0, sweep.shift == [0.0; 3]) {
                     (true, false) => {
                         let [x, y, z] = sweep.shift.map(|along| less(along * part));
-                        Some(format!("at most `shift: [{x}, {y}, {z}]` fits"))
+                        Some(format!("use at most `shift: [{x}, {y}, {z}]`"))
                     }
-                    (false, true) => Some(format!("at most `grow: {}` fits", grown(sweep, part))),
+                    (false, true) => Some(format!("use at most `grow: {}`", grown(sweep, part))),
                     _ => None,
                 }
             }
@@ -135,12 +135,12 @@ impl<'f> Fixes<'f> {
 
     /// Suggests a sufficient size of the formation, at least `factor` times the written one, and more time if that is needed.
     fn larger(&mut self, factor: f64) -> Option<String> {
-        self.resized(&LARGER.map(|more| factor * more), f64::ceil, |edit| format!("{edit} is enough"))
+        self.resized(&LARGER.map(|more| factor * more), f64::ceil, |edit| format!("use {edit}"))
     }
 
     /// Suggests a size of the formation that fits, at most `part` of the written one.
     fn smaller(&mut self, part: f64) -> Option<String> {
-        self.resized(&SMALLER.map(|factor| part * factor), f64::floor, |edit| format!("at most {edit} fits"))
+        self.resized(&SMALLER.map(|factor| part * factor), f64::floor, |edit| format!("use at most {edit}"))
     }
 
     fn resized(
@@ -181,7 +181,7 @@ impl<'f> Fixes<'f> {
     fn longer(&mut self, factors: &[f64]) -> Option<String> {
         let overs = factors.iter().map(|factor| up(self.seconds() * factor)).collect::<Vec<_>>();
         let over = overs.into_iter().find(|over| matches!(self.ways(1.0, *over), Some(Ok(()))))?;
-        Some(format!("`over: {}` is enough", written(over)))
+        Some(format!("use `over: {}`", written(over)))
     }
 
     /// Suggests another formation that the group can take first, and from which it can then make the movement.
@@ -196,7 +196,7 @@ impl<'f> Fixes<'f> {
                 self.dancers.iter().zip(&there).map(|(dancer, moved)| at(dancer, moved.end())).collect();
             self.trial(self.group, &between, self.ground.of_scenario.formations)?.ok()?;
             Some(format!(
-                "via `{0}`: add a cue with `form: {0}` and the same `over` before it",
+                "form `{0}` on the way: add a cue with `form: {0}` and the same `over` before this one",
                 shortened(name)
             ))
         })

@@ -28,7 +28,7 @@ impl Performer<'_, '_> {
         if !without.is_empty() {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
             let expected =
-                "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
+                "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` in the fleet file";
             let hint =
                 Some("remove them from this cue, or describe their `body` in the fleet file".to_owned());
             self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, hint);
@@ -39,13 +39,13 @@ impl Performer<'_, '_> {
         if !unknown.is_empty() && !errors {
             let are = if unknown.len() == 1 { "is" } else { "are" };
             let message = format!(
-                "{} {are} at an unknown position when `{}` begins",
+                "{} {are} at an unknown position when `{}` starts",
                 self.cast.names(unknown),
                 shortened(&cue.name)
             );
             let axes = COORDINATES.join(", ");
-            let expected = format!("a movement of {axes} before that, or a `default_value` of these devices");
-            let hint = "begin with a cue that sets them, as in `tracks: {x: [{at: 0s, to: 1}]}`".to_owned();
+            let expected = format!("an earlier movement of {axes}, or a `default_value` for these devices");
+            let hint = "start with a cue that sets them, as in `tracks: {x: [{at: 0s, to: 1}]}`".to_owned();
             self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, Some(hint));
         }
     }
@@ -54,9 +54,9 @@ impl Performer<'_, '_> {
     pub(super) fn tell_entangled(&mut self, cue: &Cue, group: &Together) {
         let name = shortened(&cue.name);
         let message = format!(
-            "`{name}` begins before the movement of another group for one robot, and after it for another robot"
+            "`{name}` starts before the movement of another group for one robot, but after it for another robot"
         );
-        let expected = "groups in the same order for all robots that they share";
+        let expected = "group movements in the same order for all robots that they share";
         let hint = Some("start one of them later, or use a shorter `canon`".to_owned());
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
@@ -77,22 +77,22 @@ impl Performer<'_, '_> {
             Fault::ToldElsewhere => {}
             Fault::TooMany => {
                 let message = format!("a group of {}", counted(robots.len(), "robot"));
-                let hint = Some("split them into several groups, with a cue for each".to_owned());
+                let hint = Some("split the robots into several groups, with a cue for each".to_owned());
                 self.findings.add(Code::TooMuch, here, message, format!("at most {GROUP_MAX} robots"), hint);
             }
             Fault::Flat { dancer, why } => {
                 let message =
                     format!("{why}, but `{}` cannot change its height", self.cast.id(robots[*dancer]));
-                let expected = "one height for all, or bodies whose z is a device";
+                let expected = "the same height for all robots, or bodies whose z is a device";
                 self.findings.add(Code::NotInGroup, here, message, expected, None);
             }
             Fault::Homeless(homeless) => {
                 let homeless: Vec<usize> = homeless.iter().map(|dancer| robots[*dancer]).collect();
                 let message =
-                    format!("{} no `default_value` for every coordinate", self.cast.have(&homeless));
+                    format!("{} no `default_value` for at least one coordinate", self.cast.have(&homeless));
                 let expected = "devices with a `default_value`, which defines `home`";
                 let hint =
-                    Some("add `default_value` in the initialization block, or use a formation".to_owned());
+                    Some("add a `default_value` to each of these devices in the initialization block, or use a formation instead of `home`".to_owned());
                 self.findings.add(Code::NotInGroup, here, message, expected, hint);
             }
             Fault::Unmoved => {
@@ -146,16 +146,18 @@ impl Performer<'_, '_> {
                 let (robots_are, places_are) = (counted(robots, "robot"), counted(*places, "place"));
                 let name = shortened(name);
                 let message = format!("{robots_are} for the {places_are} of `{name}`");
-                let hint = if robots > *places {
-                    format!(
-                        "use `form: {{to: {name}, spare: stay}}` to leave robots without a place where they are, or `spare: home` to send them home"
-                    )
+                let (choice, hint) = if robots > *places {
+                    let hint = format!(
+                        "use `form: {{to: {name}, spare: stay}}` so that spare robots stay where they are, or `spare: home` to send them home"
+                    );
+                    ("a `spare` for the others", hint)
                 } else {
-                    format!(
+                    let hint = format!(
                         "use `form: {{to: {name}, thin: evenly}}` to leave places free at regular intervals, or `thin: nearest` to leave distant places free"
-                    )
+                    );
+                    ("`thin` to choose the places", hint)
                 };
-                let expected = format!("{}, or a choice", counted(*places, "robot"));
+                let expected = format!("{}, or {choice}", counted(*places, "robot"));
                 self.findings.add(Code::PlacesCount, here, message, expected, Some(hint));
             }
             Fault::Crowded { places, distance, required } => {
@@ -192,8 +194,8 @@ impl Performer<'_, '_> {
                 self.tell_unknown(Code::UnknownPath, "path", &course.path, named, (there, elsewhere));
             }
             Fault::OpenLaps(laps) => {
-                let message = format!("{laps} laps of `{name}`, which does not end where it begins");
-                let hint = Some("write `closed: true` for the path".to_owned());
+                let message = format!("{laps} laps of `{name}`, which does not end where it starts");
+                let hint = Some("add `closed: true` to the path".to_owned());
                 self.findings.add(Code::WrongType, there, message, "a closed path for laps", hint);
             }
             Fault::NoHeading => {
@@ -203,8 +205,9 @@ impl Performer<'_, '_> {
             }
             Fault::TooManyPoints(count) => {
                 let points = counted(*count, "point");
-                let message =
-                    format!("{points} in all laps of `{name}`, including the places of the following robots");
+                let message = format!(
+                    "`{name}` has {points} in all laps, including the places of the robots that follow"
+                );
                 let hint = Some("use several consecutive cues with fewer laps each".to_owned());
                 self.findings.add(
                     Code::TooMuch,
@@ -221,7 +224,7 @@ impl Performer<'_, '_> {
             }
             Fault::TurnsBack { dancer } => {
                 let message =
-                    format!("the path of the following robots bends too sharply at `{}`", id(dancer));
+                    format!("the path that the robots follow bends too sharply at `{}`", id(dancer));
                 self.tell_no_row(group, message);
             }
             _ => {}
@@ -291,21 +294,26 @@ impl Performer<'_, '_> {
         let at = Span::from_millis_f64((blocked.at * 1_000.0).round());
         let more = match blocked.pairs {
             1 => String::new(),
-            pairs => format!("; {} more come too close", counted(pairs - 1, "pair")),
+            2 => "; 1 more pair comes too close".to_owned(),
+            pairs => format!("; {} more pairs come too close", pairs - 1),
         };
         let (Required::Apart(limit) | Required::AsAtEnds(limit) | Required::AtEnd { least: limit, .. }) =
             blocked.required;
         let [found, wanted] = differing(blocked.distance, limit);
         let message = format!(
-            "`{a}` and `{b}` come within {found} m of each other {} after `{}` begins, measured between centres{more}",
+            "`{a}` and `{b}` come within {found} m of each other {} after `{}` starts, measured between centres{more}",
             told(at),
             shortened(&cue.name)
         );
         let is_home = matches!(&group.action, Action::Form(Form { to: Target::Home, .. }));
-        let tried = "delays and arcs were tried";
+        let tried = "delays and arcs did not help";
         let expected = match blocked.required {
-            Required::Apart(_) => format!("at least {wanted} m, including the error of the steps; {tried}"),
-            Required::AsAtEnds(_) => format!("at least {wanted} m, as at their start or end; {tried}"),
+            Required::Apart(_) => {
+                format!("at least {wanted} m, including the position error of the steps; {tried}")
+            }
+            Required::AsAtEnds(_) => {
+                format!("at least {wanted} m, their distance at the start or end; {tried}")
+            }
             Required::AtEnd { end, least } => {
                 let [end, least] = differing(end, least);
                 format!("at least {least} m; they end {end} m apart")
@@ -317,7 +325,7 @@ impl Performer<'_, '_> {
                 "make the formation larger: these two robots need more room at their end positions"
             }
             (_, true) => "allow more time, start them one after another with `canon`, or form a row first",
-            (_, false) => "allow more time, make the formation larger, or form another one on the way",
+            (_, false) => "allow more time, make the formation larger, or use another formation on the way",
         };
         let hint = fix.unwrap_or_else(|| hint.to_owned());
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint));
