@@ -264,7 +264,7 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
             "pass",
             "the robot has no sensor",
             "2 scripts held",
-            "2 pass, 0 fail, 1 not applicable",
+            "2 passed, 0 failed, 1 not applicable",
         ],
     );
     session

@@ -110,7 +110,7 @@ fn conforms(site: &Site, requirement: &str) {
         &only,
     ]);
     let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
-    ran.says(0, &["8 pass, 0 fail"]);
+    ran.says(0, &["8 passed, 0 failed"]);
 }
 
 #[test]
@@ -215,7 +215,7 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
 
     let conformance = ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only"];
     let requirements = "no-plain,altered,repeated,reordered,wrong-secret,expired-claim,other-robot,forged-roles,repeated-connection,roles";
-    by("anna", &[&conformance[..], &[requirements]].concat()).says(0, &["10 pass, 0 fail"]);
+    by("anna", &[&conformance[..], &[requirements]].concat()).says(0, &["10 passed, 0 failed"]);
 
     // An operator with the role stops the mission of another, and is named.
     let playing = operators.playing("anna", "long.yaml");

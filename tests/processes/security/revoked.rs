@@ -161,7 +161,7 @@ fn a_robot_that_the_authority_does_not_know_does_not_keep_the_list_from_the_othe
         1,
         &[
             "r0: uses the latest list",
-            "robot r1 has no key in this folder; these have one: r0, r2",
+            "robot r1 has no key in this folder; names with a key: r0, r2",
             "keys secret r1",
             "r2: uses the latest list",
         ],

@@ -26,7 +26,7 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
         ["conformance", address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
     let mut command = site.session.command(&conformance);
     let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
-    ran.says(0, &["7 pass, 0 fail"]);
+    ran.says(0, &["7 passed, 0 failed"]);
 
     // Without the role.
     site.fleet(&site.addresses("tls"), "bert");
@@ -211,7 +211,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
     let conformance =
         ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
-    by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
+    by("anna", &conformance).says(0, &["7 passed, 0 failed"]);
     session
         .run(&["run", "short.yaml"])
         .says(1, &["the robot requires your identity: set `identity` in the fleet file"]);
@@ -266,5 +266,5 @@ fn a_robot_that_asks_for_no_certificate_fails_the_conformance_test() {
     let mut command =
         session.command(&["conformance", &address, "--only", "no-certificate", "--patience", "1s"]);
     let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
-    ran.says(1, &["no answer, and the robot to close the connection", "0 pass, 1 fail"]);
+    ran.says(1, &["no answer, and the robot to close the connection", "0 passed, 1 failed"]);
 }
