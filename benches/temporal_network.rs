@@ -138,7 +138,7 @@ fn shapes(cues: usize) -> Vec<Shape> {
         Shape::chain("chain, listed forwards", cues, None, forwards),
         Shape::chain("chain, listed backwards", cues, None, backwards),
         Shape::chain("chain, shuffled", cues, None, shuffled),
-        Shape::chain("chain, least and largest gaps", cues, Some(50), backwards),
+        Shape::chain("chain of cues with a least and a largest gap", cues, Some(50), backwards),
         Shape::layered(cues),
         Shape::tied(cues),
     ]

@@ -131,7 +131,8 @@ pub struct Preflight {
     /// The predicted spread of the motions at the start of the first act, as far as known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skew: Option<SkewBudget>,
-    /// The movements that failures may cause. A failure in any other act only stops robots in place.
+    /// The movements that the failure of an act may cause, one entry per such act. If an act without an entry fails, robots only stop in
+    /// place.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub after_failures: Vec<AfterFailure>,
 }

@@ -230,8 +230,8 @@ fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
-/// Returns the lists of keys and words that the reader compared with documents. Each list is stored under the place in the schema that
-/// describes it.
+/// Returns the lists of permitted keys and words that the reader has used to check files. Each list is stored under the place in the schema
+/// that describes it.
 fn known(root: &Value, recorded: Vec<Known>) -> Lists {
     let mut lists = Lists::new();
     for known in recorded {

@@ -1,5 +1,5 @@
-//! Limits YAML aliases. An alias repeats a value, and aliases of aliases multiply: a few lines could exhaust any memory. The values are
-//! therefore counted before the tree is built, by a parser that builds none.
+//! Limits YAML aliases. An alias repeats a value, and aliases of aliases multiply, so that a few lines could exhaust the memory. Before the
+//! reader builds a tree of the file, a first pass counts the values with a parser that builds no tree.
 
 use saphyr_parser::Event;
 

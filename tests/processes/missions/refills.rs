@@ -1,5 +1,5 @@
-//! Chains of scripts that are longer than a device's queue, in several acts. Every value of every script is set once and in order.
-//! Neither the act of a script nor the number of scripts in earlier acts makes a difference.
+//! Chains of scripts that are longer than a device's queue, in several acts. Every value of every script is set once and in order, in the
+//! first act as in later ones, however many scripts the earlier acts have.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -61,7 +61,7 @@ fn a_robot_that_is_heard_again_is_waited_for_no_more() {
     assert_eq!(played.mission.robots[0].totals.reconnects, 1);
 }
 
-/// A mission that stops because another process answers in place of its robot, which still plays.
+/// A mission that stops because another process answers at the address of its robot, while that robot is still playing.
 fn replaced(patience: Span) -> Played {
     let mut played = broken();
     played.mission.options.patience = patience;

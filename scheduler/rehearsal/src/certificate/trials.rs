@@ -403,7 +403,7 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
         let stops = matches!(report.outcome, Outcome::Failed | Outcome::NotStarted);
         let runs_on = matches!(row.stop, StopState::Unconfirmed { lease_ends: None } | StopState::TakenOver);
         if stops && watched.moved() && runs_on {
-            broken.push(format!("`{}` moved, but nothing stops it", row.robot));
+            broken.push(format!("`{}` was moving when the mission failed, and nothing stops it", row.robot));
         }
     }
 }
@@ -550,7 +550,7 @@ mod tests {
                 report.outcome = Outcome::Failed;
                 report.robots[1].stop = StopState::Unconfirmed { lease_ends: None };
             },
-            "`b` moved, but nothing stops it",
+            "`b` was moving when the mission failed, and nothing stops it",
         );
         check(
             &Injected::None,

@@ -150,8 +150,8 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Returns since when a robot plays, and the shortest lease under which it plays. `None` unless the robot has begun all its scripts: a
-/// script that had not begun may have been lost.
+/// Returns the time since which a robot has been playing, and the shortest of its leases. `None` unless the robot has begun all its
+/// scripts: a script that has not begun may have been lost.
 fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option<(Timestamp<Server>, Span)> {
     let mut acts = facts.acts.iter().filter(|act| act.at <= at && act.of(robot).next().is_some());
     let act = acts.next_back()?;

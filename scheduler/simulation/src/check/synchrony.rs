@@ -65,7 +65,7 @@ fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span
     let number = act.promise.number;
     match told {
         Some(told) => format!(
-            "r{robot} started {error} off the plan of act {number}, but its clock was reported to be {} +- {} ahead",
+            "r{robot} started {error} away from its planned time in act {number}, but its clock error was reported as {} +- {} ahead",
             told.offset, told.uncertainty
         ),
         None => format!("r{robot} started act {number}, but nothing was reported about its clock"),

@@ -53,8 +53,8 @@ pub struct Incident {
     pub robots: Vec<usize>,
     /// The kind of fault.
     pub trouble: Trouble,
-    /// The act whose start is the reference for the time `at`: the start as planned when the act is first sent. `None` if `at` counts
-    /// from the beginning of the mission. A refusal applies from the time at which the act is sent.
+    /// The act whose start is the reference for the time `at`: the start as planned when the act is first sent. `None` if `at` counts from
+    /// the beginning of the mission. If the incident is a refusal, the reference is the time at which the act is sent instead.
     pub act: Option<String>,
     /// The time of the fault, counted from the start of `act` or of the mission.
     pub at: Between<Span>,

@@ -83,7 +83,8 @@ pub enum Shape {
 pub enum Between {
     /// The device's own interpolation.
     Own,
-    /// The device's own interpolation in reverse: a device that holds takes the new value at once.
+    /// The device's own interpolation, reversed in time: a device that would keep the previous value until the next keyframe takes the next
+    /// value at once instead.
     OwnReversed,
     /// A straight line.
     Linear,
