@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 from downbeat_lab import fleet, program, reports
+from downbeat_lab.machines import ip, machines, on
 from downbeat_lab.processes import Processes
 
 ROBOTS, STEPS, EVERY_MS = 20, 40, 100
@@ -30,38 +31,20 @@ ENDPOINT = f"tcp/{NETWORK}.1:7447"
 MISSION_TIMEOUT_S = 90
 
 
-def ip(*arguments, check=True):
-    return subprocess.run(["ip", *arguments], check=check, stderr=None if check else subprocess.DEVNULL).returncode == 0
-
-
-def remove_machines():
-    for machine in MACHINES:
-        ip("netns", "del", machine, check=False)
-
-
 @contextlib.contextmanager
-def machines():
-    """The namespaces and their bridge, which exist during a `with` block."""
+def network():
+    """The machines and their bridge, which exist during a `with` block."""
     router, *others = MACHINES
-    # Removes the namespaces of an interrupted run.
-    remove_machines()
-    if not ip("netns", "add", router, check=False):
-        sys.exit("network namespaces are not permitted here: this needs root")
-    try:
+    with machines(MACHINES):
         ip("-n", router, "link", "add", "bridge", "type", "bridge")
         ip("-n", router, "addr", "add", f"{NETWORK}.1/24", "dev", "bridge")
-        ip("-n", router, "link", "set", "lo", "up")
         ip("-n", router, "link", "set", "bridge", "up")
         for number, machine in enumerate(others, 2):
-            ip("netns", "add", machine)
             ip("-n", machine, "link", "add", "eth0", "type", "veth", "peer", "name", f"port{number}", "netns", router)
             ip("-n", machine, "addr", "add", f"{NETWORK}.{number}/24", "dev", "eth0")
-            ip("-n", machine, "link", "set", "lo", "up")
             ip("-n", machine, "link", "set", "eth0", "up")
             ip("-n", router, "link", "set", f"port{number}", "master", "bridge", "up")
         yield
-    finally:
-        remove_machines()
 
 
 class Ended:
@@ -104,16 +87,16 @@ class Trial:
 
     def start(self):
         self.write_project()
-        self.processes.start(*on("router"), self.zenohd, "--config", "router.json5", cwd=self.folder, stdout=subprocess.DEVNULL,
+        self.processes.start(*on("downbeat-router"), self.zenohd, "--config", "router.json5", cwd=self.folder, stdout=subprocess.DEVNULL,
                              stderr=subprocess.DEVNULL)
         time.sleep(1)
-        self.processes.start_listening(*on("robots"), self.downbeat, "sim", "fleet.yaml", "--log-file", "robots.jsonl", "--realtime",
+        self.processes.start_listening(*on("downbeat-robots"), self.downbeat, "sim", "fleet.yaml", "--log-file", "robots.jsonl", "--realtime",
                                        "off", robots=ROBOTS, errors=self.folder / "sim-errors", cwd=self.folder)
 
     def run(self, machine, half):
         environment = {**os.environ, "DOWNBEAT_STATE": str(self.folder / f"state-{machine}")}
         command = [self.downbeat, "run", f"{half}.yaml", "--realtime", "off", "--format", "json"]
-        return self.processes.start(*on(machine), *command, cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
+        return self.processes.start(*on(f"downbeat-{machine}"), *command, cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
 
     def log(self):
         # The simulation writes its log within 50 ms.
@@ -190,11 +173,6 @@ class Trial:
         self.expect("another scheduler plays with them", again.is_done(), again.outcome, again.failures[:1])
 
 
-def on(machine):
-    """The words that run a command on this machine."""
-    return ["ip", "netns", "exec", f"downbeat-{machine}"]
-
-
 def moved(made):
     return {robot for robot, steps in made.items() if steps > 0}
 
@@ -207,7 +185,7 @@ def main():
     asked = program.arguments(__doc__, zenoh=True).parse_args()
     downbeat = program.find_downbeat(asked.downbeat, zenoh=True, profile="dev")
     zenohd = program.find_zenohd(asked.zenohd)
-    with tempfile.TemporaryDirectory(prefix="zenoh-machines-") as folder, machines(), Processes() as processes:
+    with tempfile.TemporaryDirectory(prefix="zenoh-machines-") as folder, network(), Processes() as processes:
         trial = Trial(downbeat, zenohd, Path(folder), processes)
         trial.start()
         for part in (trial.play_both_at_once, trial.request_the_same, trial.request_the_same_at_once, trial.lose_the_network):

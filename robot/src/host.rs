@@ -27,6 +27,7 @@ use crate::budget::Strangers;
 use crate::driver::Mailbox;
 use crate::figures::Figures;
 use crate::ids::LinkId;
+use crate::newcomers::Newcomers;
 use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Refusals;
@@ -125,6 +126,7 @@ pub struct HostHandle {
     refusals: Arc<Refusals>,
     figures: Arc<Figures>,
     strangers: Arc<Strangers>,
+    newcomers: Arc<Newcomers>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
     /// Maximum length of a command in bytes, one entry per robot.
@@ -176,6 +178,7 @@ impl Host {
             next_link: Arc::new(AtomicU64::new(0)),
             refusals: Arc::default(),
             strangers: Arc::default(),
+            newcomers: Arc::default(),
             scripts: KnownScripts::default(),
             owners: watched.into(),
             longest: hosted.iter().map(|hosted| longest_command(hosted.block())).collect(),
@@ -342,6 +345,11 @@ impl HostHandle {
     /// Returns the budget for messages and reading time that is shared by all peers that own no robot of this host.
     pub(crate) fn strangers(&self) -> Arc<Strangers> {
         Arc::clone(&self.strangers)
+    }
+
+    /// Returns the new connections of all robots of this host.
+    pub(crate) const fn newcomers(&self) -> &Arc<Newcomers> {
+        &self.newcomers
     }
 
     /// Returns the cache of the most recently received scripts. It is useful because several robots of a host often receive the same

@@ -93,6 +93,8 @@ mod host;
 mod ids;
 mod late_steps;
 mod lease;
+#[cfg(feature = "host")]
+mod newcomers;
 mod outgoing;
 mod parties;
 mod peer;

@@ -1,7 +1,9 @@
 //! The peer at the other end of a link.
 
 use std::fmt;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
+#[cfg(feature = "host")]
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
 
 use urrcp::Label;
@@ -81,11 +83,46 @@ impl Peer {
         matches!(self.origin, Origin::InProcess)
     }
 
-    /// Returns the IP address whose quota the peer uses. `None` if the address is unknown or may represent many peers: within this
-    /// process, on the loopback interface, and through networks that hide addresses.
-    #[must_use]
-    pub fn quota_key(&self) -> Option<IpAddr> {
-        self.address().map(|address| address.ip().to_canonical()).filter(|ip| !ip.is_loopback())
+    /// Returns the network and the host that share their quotas with the peer. `None` if the address is unknown or may represent many
+    /// peers: within this process, on the loopback interface, and through networks that hide addresses.
+    #[cfg(feature = "host")]
+    pub(crate) fn prefixes(&self) -> Option<[Prefix; 2]> {
+        let ip = self.address()?.ip().to_canonical();
+        let [network, host] = if ip.is_ipv4() { [24, 32] } else { [48, 64] };
+        (!ip.is_loopback()).then(|| [Prefix::of(ip, network), Prefix::of(ip, host)])
+    }
+}
+
+/// A range of IP addresses: those whose first bits are equal.
+#[cfg(feature = "host")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Prefix {
+    /// The first address of the range.
+    ip: IpAddr,
+    bits: u32,
+}
+
+#[cfg(feature = "host")]
+impl Prefix {
+    fn of(ip: IpAddr, bits: u32) -> Self {
+        let ip = match ip {
+            IpAddr::V4(ip) => {
+                let mask = u32::MAX.checked_shl(u32::BITS - bits).unwrap_or(0);
+                IpAddr::V4(Ipv4Addr::from_bits(ip.to_bits() & mask))
+            }
+            IpAddr::V6(ip) => {
+                let mask = u128::MAX.checked_shl(u128::BITS - bits).unwrap_or(0);
+                IpAddr::V6(Ipv6Addr::from_bits(ip.to_bits() & mask))
+            }
+        };
+        Self { ip, bits }
+    }
+}
+
+#[cfg(feature = "host")]
+impl fmt::Display for Prefix {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.ip, self.bits)
     }
 }
 
@@ -108,19 +145,23 @@ mod tests {
     use urrcp::Roles;
 
     #[test]
-    fn quotas_are_counted_by_host_and_not_on_the_loopback_interface() {
-        let key = |address: &str| Peer::at(address.parse().unwrap()).quota_key().map(|ip| ip.to_string());
-        assert_eq!(key("192.0.2.7:1000").as_deref(), Some("192.0.2.7"));
-        assert_eq!(key("[::ffff:192.0.2.7]:1001").as_deref(), Some("192.0.2.7"));
-        assert_eq!(key("127.0.0.1:1000"), None);
-        assert_eq!(key("[::1]:1000"), None);
-        assert_eq!(Peer::in_process().quota_key(), None);
+    fn quotas_are_counted_by_network_and_host_and_not_on_the_loopback_interface() {
+        let of = |address: &str| {
+            Peer::at(address.parse().unwrap()).prefixes().map(|both| both.map(|prefix| prefix.to_string()))
+        };
+        let both = |network: &str, host: &str| Some([network.to_owned(), host.to_owned()]);
+        assert_eq!(of("192.0.2.7:1000"), both("192.0.2.0/24", "192.0.2.7/32"));
+        assert_eq!(of("[::ffff:192.0.2.7]:1001"), both("192.0.2.0/24", "192.0.2.7/32"));
+        assert_eq!(of("[2001:db8:1:2:3::4]:1000"), both("2001:db8:1::/48", "2001:db8:1:2::/64"));
+        assert_eq!(of("127.0.0.1:1000"), None);
+        assert_eq!(of("[::1]:1000"), None);
+        assert_eq!(Peer::in_process().prefixes(), None);
     }
 
     #[test]
     fn a_peer_whose_address_is_hidden_is_not_trusted_for_that() {
         let hidden = Peer::through("zenoh:a1.7");
-        assert_eq!((hidden.address(), hidden.quota_key()), (None, None));
+        assert_eq!((hidden.address(), hidden.prefixes()), (None, None));
         assert!(!hidden.is_in_process() && Peer::in_process().is_in_process());
         assert_eq!(hidden.to_string(), "zenoh:a1.7");
     }

@@ -168,10 +168,6 @@ where
     S: AsyncRead + AsyncWrite,
     K: Into<Key>,
 {
-    let proving = async {
-        shared.door.refresh().await;
-        proving.await
-    };
     let proven = tokio::select! {
         proven = tokio::time::timeout(shared.patience.first_message, proving) => {
             proven.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
@@ -188,6 +184,7 @@ where
         refusals.note(Reason::NotProven, &peer);
     })?;
     let peer = peer.with_proof(proof.clone());
+    ticket.establish(&peer);
     let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
     if !shared.keys.contains(&proof) {
         return Err(io::Error::other("the key has become invalid"));

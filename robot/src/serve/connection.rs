@@ -455,6 +455,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
     }
 
     async fn deliver(&mut self, mut decoded: Decoded) {
+        self.ticket.establish(&self.peer);
         self.take_list(&mut decoded).await;
         if let Ok(message) = &decoded {
             if let Some(session) = session_of(message) {

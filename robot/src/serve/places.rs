@@ -1,14 +1,19 @@
-//! The connections of a robot. A limited number of them have a place, which permits all messages; others wait for a place, or must close.
-//! Connections of the session that owns the robot take precedence over strangers. A stop needs no place.
+//! The connections of a robot. A connection is new until its peer has proven an identity or sent a message; then it is established. The
+//! host limits new connections, and this module limits established ones. A limited number of these have a place, which permits all
+//! messages; others wait for a place, or must close. Connections of the session that owns the robot take precedence over strangers. A
+//! stop needs no place.
 #![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::cmp::Reverse;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, watch};
+use urrcp::Role;
 
 use crate::hardware::Standing;
 use crate::host::HostHandle;
+use crate::newcomers::Newcomer;
 use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Reason;
@@ -18,13 +23,13 @@ use crate::refusals::Reason;
 pub(super) const PLACES: usize = 16;
 /// Number of additional places for connections of the session that owns the robot.
 pub(super) const OWNER_PLACES: usize = 4;
-/// Maximum number of connections. On a connection without a place, the robot accepts only stops and some questions; all other messages
-/// wait for a place.
+/// Maximum number of established connections, not counting those of peers with the role `stop`. On a connection without a place, the
+/// robot accepts only stops and some questions; all other messages wait for a place.
 pub(super) const CONNECTIONS_MAX: usize = 64;
-/// Maximum number of connections from one remote host, not counting those of the session that owns the robot.
+/// Maximum number of connections of peers that have proven the role `stop`. Other peers cannot take these.
+pub(super) const STOP_CONNECTIONS_MAX: usize = 32;
+/// Maximum number of established connections from one remote host, not counting those of the session that owns the robot.
 const HOST_MAX: usize = 16;
-/// Minimum age of a connection before it may be closed for another one, so that it has time to send a message.
-const YOUNG: Duration = Duration::from_millis(50);
 /// Interval at which a waiting connection tries to get a place.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
 /// Number of failed attempts to get a place after which the robot checks again whether the session that owns it is over.
@@ -41,7 +46,6 @@ enum Seat {
 struct Entry {
     id: u64,
     peer: Peer,
-    since: Instant,
     heard: Instant,
     /// Whether a complete message has arrived on the connection.
     spoke: bool,
@@ -57,9 +61,31 @@ impl Entry {
         owner.is_some() && self.speaks_for.as_ref() == owner
     }
 
+    /// Whether the peer has proven that it has the role `stop`.
+    fn may_stop(&self) -> bool {
+        self.peer.proof().is_some_and(|proof| proof.roles.has(Role::Stop))
+    }
+
     /// Returns the rank of the connection. The connection with the lowest rank is closed first.
     fn rank(&self) -> (Seat, bool, Instant) {
         (self.seat, self.spoke, self.heard)
+    }
+
+    /// Whether both connections belong to the same peer: to the same name if it is proven, otherwise to the same network.
+    fn is_of_same_peer(&self, other: &Self) -> bool {
+        match (self.peer.name(), other.peer.name()) {
+            (None, None) => self.has_prefix_of(other, 0),
+            (one, another) => one == another,
+        }
+    }
+
+    fn is_of_same_host(&self, other: &Self) -> bool {
+        self.has_prefix_of(other, 1)
+    }
+
+    fn has_prefix_of(&self, other: &Self, at: usize) -> bool {
+        let prefix = |entry: &Self| entry.peer.prefixes().map(|prefixes| prefixes[at]);
+        self.id == other.id || (prefix(self).is_some() && prefix(self) == prefix(other))
     }
 }
 
@@ -77,9 +103,23 @@ impl Entries {
     fn get(&mut self, id: u64) -> Option<&mut Entry> {
         self.all.iter_mut().find(|entry| entry.id == id)
     }
+
+    /// Returns the connection that gives way to the new connection `id`, out of those that are `among`: of the peer with most of these
+    /// connections, and of its host with most of them, the one with the lowest rank.
+    fn weakest(&self, id: u64, among: impl Fn(&Entry) -> bool) -> Option<u64> {
+        let candidates: Vec<&Entry> = self.standing().filter(|entry| among(entry)).collect();
+        let count =
+            |is_alike: &dyn Fn(&Entry) -> bool| candidates.iter().filter(|entry| is_alike(entry)).count();
+        let order = |entry: &&&Entry| {
+            let of_peer = count(&|other| entry.is_of_same_peer(other));
+            let of_host = count(&|other| entry.is_of_same_host(other));
+            (Reverse(of_peer), Reverse(of_host), entry.rank())
+        };
+        candidates.iter().filter(|entry| entry.id != id).min_by_key(order).map(|entry| entry.id)
+    }
 }
 
-/// The connections of one robot.
+/// The established connections of one robot.
 #[derive(Debug)]
 pub(super) struct Places {
     entries: Mutex<Entries>,
@@ -98,45 +138,52 @@ impl Places {
         Some(Arc::new(Self { entries, changed, owner, host, robot, silence_max }))
     }
 
-    /// Admits a new connection. If necessary, closes another connection for it. Returns `None` if no other connection can be closed yet.
+    /// Admits a new connection. If the host has too many new connections, closes another one. Returns `None` if that is not possible yet.
     pub(super) fn admit(self: &Arc<Self>, peer: &Peer) -> Option<Ticket> {
-        let now = Instant::now();
+        let hang_up = Arc::new(Notify::new());
+        let (newcomer, gives_way) = self.host.newcomers().admit(self.robot, peer, &hang_up)?;
+        if let Some(gives_way) = gives_way {
+            self.host.refusals().note(Reason::MadeRoom, &gives_way);
+        }
+        let newcomer = Mutex::new(Some(newcomer));
+        Some(Ticket { places: Arc::clone(self), hang_up, newcomer, id: OnceLock::new() })
+    }
+
+    /// Adds an established connection, and returns its number. If necessary, asks another connection to close.
+    fn establish(&self, peer: Peer, hang_up: &Arc<Notify>) -> u64 {
         let owner = self.owner.borrow().clone();
         let mut entries = self.lock();
-        let without_session = |entry: &&Entry| !entry.owns(owner.as_ref());
-        if let Some(host) = peer.quota_key() {
-            let of_host = |entry: &&Entry| entry.peer.quota_key() == Some(host);
-            if entries.standing().filter(of_host).filter(without_session).count() >= HOST_MAX {
-                let weakest =
-                    entries.standing().filter(of_host).filter(without_session).min_by_key(|e| e.rank());
-                let weakest = weakest.map(|entry| entry.id);
-                weakest.into_iter().for_each(|id| self.hang_up(&mut entries, id, Reason::ManyFromOneHost));
-            }
-        }
-        if entries.standing().count() >= CONNECTIONS_MAX {
-            let old = |entry: &&Entry| now.saturating_duration_since(entry.since) >= YOUNG;
-            let weakest = entries.standing().filter(old).filter(without_session).min_by_key(|e| e.rank());
-            let weakest = weakest.map(|entry| entry.id)?;
-            self.hang_up(&mut entries, weakest, Reason::MadeRoom);
-        }
-        // A connection that was asked to end does so as soon as its task runs.
-        if entries.all.len() >= 2 * CONNECTIONS_MAX {
-            return None;
-        }
         entries.last += 1;
-        let (id, hang_up) = (entries.last, Arc::new(Notify::new()));
+        let id = entries.last;
         entries.all.push(Entry {
             id,
-            peer: peer.clone(),
-            since: now,
-            heard: now,
+            peer,
+            heard: Instant::now(),
             spoke: false,
             seat: Seat::None,
             speaks_for: None,
             leaving: false,
-            hang_up: Arc::clone(&hang_up),
+            hang_up: Arc::clone(hang_up),
         });
-        Some(Ticket { places: Arc::clone(self), id, hang_up })
+        let Some(own) = entries.all.last() else { return id };
+        let of_host = |entry: &Entry| !entry.owns(owner.as_ref()) && entry.is_of_same_host(own);
+        let of_kind = |entry: &Entry| !entry.owns(owner.as_ref()) && entry.may_stop() == own.may_stop();
+        let count = |among: &dyn Fn(&Entry) -> bool| entries.standing().filter(|entry| among(entry)).count();
+        let most = if own.may_stop() { STOP_CONNECTIONS_MAX } else { CONNECTIONS_MAX };
+        let (weakest, reason) = if count(&of_host) > HOST_MAX {
+            (entries.weakest(id, of_host), Reason::ManyFromOneHost)
+        } else if count(&|entry| entry.may_stop() == own.may_stop()) > most {
+            // The owner's own connections give way only to each other.
+            (entries.weakest(id, of_kind).or_else(|| entries.weakest(id, |_| true)), Reason::MadeRoom)
+        } else {
+            (None, Reason::MadeRoom)
+        };
+        weakest.into_iter().for_each(|weakest| self.hang_up(&mut entries, weakest, reason));
+        // Connections that were asked to close do so as soon as their tasks run.
+        if entries.all.len() > 2 * (CONNECTIONS_MAX + STOP_CONNECTIONS_MAX) {
+            self.hang_up(&mut entries, id, Reason::MadeRoom);
+        }
+        id
     }
 
     fn lock(&self) -> MutexGuard<'_, Entries> {
@@ -190,11 +237,27 @@ impl Places {
 #[derive(Debug)]
 pub(super) struct Ticket {
     places: Arc<Places>,
-    id: u64,
     hang_up: Arc<Notify>,
+    /// `None` once the connection is established.
+    newcomer: Mutex<Option<Newcomer>>,
+    /// Number of the connection, once it is established.
+    id: OnceLock<u64>,
 }
 
 impl Ticket {
+    /// Makes a new connection an established one, because its peer has proven its identity or sent a message.
+    pub(super) fn establish(&self, peer: &Peer) {
+        self.id.get_or_init(|| self.places.establish(peer.clone(), &self.hang_up));
+        drop(self.newcomer.lock().unwrap_or_else(PoisonError::into_inner).take());
+    }
+
+    fn update(&self, update: impl FnOnce(&mut Entry)) {
+        let Some(id) = self.id.get() else { return };
+        if let Some(entry) = self.places.lock().get(*id) {
+            update(entry);
+        }
+    }
+
     /// Waits until this connection must close because another one needs its place.
     pub(super) fn hung_up(&self) -> impl Future<Output = ()> + use<> {
         let hang_up = Arc::clone(&self.hang_up);
@@ -224,36 +287,35 @@ impl Ticket {
 
     /// Records that input has arrived, which shows that the peer is alive.
     pub(super) fn heard(&self) {
-        if let Some(entry) = self.places.lock().get(self.id) {
-            entry.heard = Instant::now();
-        }
+        self.update(|entry| entry.heard = Instant::now());
     }
 
     /// Records that a complete message has arrived. `speaks_for` is the session that the peer named last.
     pub(super) fn spoke(&self, speaks_for: Option<&Claimant>) {
-        if let Some(entry) = self.places.lock().get(self.id) {
+        self.update(|entry| {
             entry.heard = Instant::now();
             entry.spoke = true;
             if entry.speaks_for.as_ref() != speaks_for {
                 entry.speaks_for = speaks_for.cloned();
             }
-        }
+        });
     }
 
-    /// Waits until the connection has a place. `claims` is whether the connection claims the robot.
+    /// Waits until the established connection has a place. `claims` is whether the connection claims the robot.
     pub(super) async fn take(&self, claims: bool) {
-        if self.places.try_take(self.id, claims) {
+        let Some(&id) = self.id.get() else { return };
+        if self.places.try_take(id, claims) {
             return;
         }
         for tried in 0_u32.. {
             let mut changed = std::pin::pin!(self.places.changed.notified());
             changed.as_mut().enable();
-            if self.places.try_take(self.id, claims) {
+            if self.places.try_take(id, claims) {
                 return;
             }
             if tried % LOOK_EVERY == 0 {
                 self.look().await;
-                if self.places.try_take(self.id, claims) {
+                if self.places.try_take(id, claims) {
                     return;
                 }
             }
@@ -264,7 +326,8 @@ impl Ticket {
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        self.places.lock().all.retain(|entry| entry.id != self.id);
+        let Some(id) = self.id.get() else { return };
+        self.places.lock().all.retain(|entry| entry.id != *id);
         self.places.changed.notify_waiters();
     }
 }

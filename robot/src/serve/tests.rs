@@ -338,11 +338,15 @@ async fn a_stranger_ends_each_message_in_time_and_the_owner_takes_its_time() {
 async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = Places::new(host.handle(), 0, Duration::from_secs(30)).unwrap();
-    let peer = |address: &str| Remote::at(address.parse().unwrap());
-    let other = places.admit(&peer("192.0.2.8:1000")).unwrap();
+    let admitted = |address: &str| {
+        let peer = Remote::at(address.parse().unwrap());
+        let ticket = places.admit(&peer).unwrap();
+        ticket.establish(&peer);
+        ticket
+    };
+    let other = admitted("192.0.2.8:1000");
     other.spoke(None);
-    let tickets: Vec<_> =
-        (0..100).map(|i| places.admit(&peer(&format!("192.0.2.7:{}", 1_000 + i))).unwrap()).collect();
+    let tickets: Vec<_> = (0..100).map(|i| admitted(&format!("192.0.2.7:{}", 1_000 + i))).collect();
     assert_eq!(host.refusals().count(Reason::ManyFromOneHost), 100 - 16);
     let hung_up = tokio::time::timeout(Duration::ZERO, other.hung_up()).await;
     assert!(hung_up.is_err(), "another host's connection stands");
@@ -501,11 +505,6 @@ async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
     floods.iter().for_each(tokio::task::JoinHandle::abort);
     let paused = host.refusals().peers(Reason::Paused);
     assert!(!paused.contains(&owners), "the owner is read slowly");
-}
-
-#[expect(clippy::disallowed_methods, reason = "connections grow old in real time")]
-fn now() -> std::time::Instant {
-    std::time::Instant::now()
 }
 
 #[tokio::test]

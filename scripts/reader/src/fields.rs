@@ -425,6 +425,8 @@ impl Reader {
                 Some(index) => self.duplicate(&at.entry(known[index], 1, node), key),
                 None => {
                     let hint = match key.as_str() {
+                        // No hint is shown, and a hint compares names.
+                        _ if self.is_full() => None,
                         "<<" => Some("merge keys are not supported: write the keys out in full".to_owned()),
                         _ if syntax::without_space(key, known).is_some() => syntax::without_space(key, known),
                         _ => syntax::without_colon(key, known)

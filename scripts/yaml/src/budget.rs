@@ -23,7 +23,7 @@ pub const DEPTH_MAX: usize = 32;
 /// Maximum number of comparisons between misspelt and known names in a scenario.
 pub const COMPARISONS_MAX: usize = 1_000_000;
 /// Maximum number of errors that are reported; the same maximum applies to warnings.
-pub const FINDINGS_MAX: usize = 100_000;
+pub const FINDINGS_MAX: usize = 1_000;
 
 /// Returns the longest time that a protocol message can carry.
 pub fn longest() -> Span {

@@ -62,7 +62,9 @@ fn plan_and_check_show_which_latency_is_compensated_and_where_it_is_from() {
     session.file("latency.yaml", "latency: {b: {d: {median: 30ms, spread: 2ms}}}\n");
     let plan = session.run(&["plan", "play.yaml"]);
     assert_eq!(plan.code(), 0, "{}", plan.text());
-    for expected in ["first commands sent 60 ms before the motions", "30 ms", "±2 ms", "fleet", "file", "robot"] {
+    for expected in
+        ["first commands sent 60 ms before the motions", "30 ms", "±2 ms", "fleet", "file", "robot"]
+    {
         assert!(plan.text().contains(expected), "{expected}: {}", plan.text());
     }
     let check = session.run(&["check", "play.yaml"]);

@@ -83,7 +83,10 @@ fn a_start_that_clocks_show_twice_names_the_first_one() {
     let [first, second] =
         ["+01:00", "+00:00"].map(|offset| shown.format(&format!("%FT%T{offset}")).to_string());
     let told = told.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(told.contains(&format!("the first time, {first}; for the other one, write --at {second}")), "{told}");
+    assert!(
+        told.contains(&format!("the first time, {first}; for the other one, write --at {second}")),
+        "{told}"
+    );
     assert!(told.contains(&format!("`opening` waits for {}.000 UTC+01:00", time(shown))), "{told}");
 }
 

@@ -1,16 +1,34 @@
 //! Tests which connections have a place, and which are closed for others.
 
 use super::*;
+use crate::serve::places::STOP_CONNECTIONS_MAX;
+use urrcp::{Label, Proof, Role};
 
 /// Returns the places of a robot. A connection may be closed for another one as soon as it is silent.
 fn places(host: &Host) -> Arc<Places> {
     Places::new(host.handle(), 0, Duration::ZERO).unwrap()
 }
 
-/// Admits one connection from each of `count` remote hosts.
+fn at(address: &str) -> Remote {
+    Remote::at(format!("{address}:1000").parse().unwrap())
+}
+
+/// Establishes a connection of this peer.
+fn established(places: &Arc<Places>, peer: &Remote) -> Ticket {
+    let ticket = places.admit(peer).unwrap();
+    ticket.establish(peer);
+    ticket
+}
+
+/// Establishes one connection from each of `count` remote hosts.
 fn tickets(places: &Arc<Places>, count: usize) -> Vec<Ticket> {
-    let peer = |i| Remote::at(format!("192.0.2.{}:1000", i + 1).parse().unwrap());
-    (0..count).map(|i| places.admit(&peer(i)).unwrap()).collect()
+    (0..count).map(|i| established(places, &at(&format!("192.0.2.{}", i + 1)))).collect()
+}
+
+/// Returns a peer that has proven this name and role.
+fn proven(address: &str, name: &str, role: Role) -> Remote {
+    let roles = [role].into_iter().collect();
+    at(address).with_proof(Proof { name: Label::new(name).unwrap(), roles, serial: None })
 }
 
 /// Returns the indices of the connections that were asked to close.
@@ -51,31 +69,64 @@ async fn a_connection_that_has_its_place_keeps_it_and_takes_no_second_one() {
 }
 
 #[tokio::test]
-async fn beyond_all_connections_the_oldest_without_a_place_gives_way_once_it_is_not_young() {
+async fn beyond_all_connections_the_oldest_without_a_place_gives_way() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
-    let (places, begun) = (places(&host), now());
+    let places = places(&host);
     let tickets = tickets(&places, CONNECTIONS_MAX);
     tickets[0].take(false).await;
     tickets[1].spoke(None);
-    let late = Remote::at("192.0.2.200:1000".parse().unwrap());
-    let refused = places.admit(&late).is_none();
-    assert!(refused || begun.elapsed() >= Duration::from_millis(50), "all others are as new");
-    tokio::time::sleep(Duration::from_millis(60)).await;
-    let admitted = places.admit(&late);
-    assert!(admitted.is_some());
+    let _late = established(&places, &at("192.0.2.200"));
     // A connection without a message is closed before a connection with a message. A connection with a place is closed last.
     assert_eq!(hung_up(&tickets).await, [2]);
 }
 
 #[tokio::test]
-async fn connections_that_are_told_to_go_and_do_not_are_not_joined_by_ever_more() {
+async fn a_flood_of_established_connections_closes_only_those_of_its_own_network() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
-    let one_host = || places.admit(&Remote::at("192.0.2.7:1000".parse().unwrap()));
-    let taken: Vec<_> = std::iter::repeat_with(one_host).map_while(|ticket| ticket).take(1_000).collect();
-    assert_eq!(taken.len(), 2 * CONNECTIONS_MAX);
-    drop(taken);
-    assert!(one_host().is_some(), "they have gone");
+    let other = established(&places, &at("198.51.100.1"));
+    let flood: Vec<_> =
+        (0..100).map(|i| established(&places, &at(&format!("192.0.2.{}", i % 250)))).collect();
+    assert_eq!(hung_up(&flood).await.len(), 101 - CONNECTIONS_MAX);
+    assert_eq!(hung_up(&[other]).await, [0_usize; 0]);
+}
+
+#[tokio::test]
+async fn an_operator_from_many_hosts_closes_only_its_own_connections() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let places = places(&host);
+    let other = established(&places, &proven("192.0.2.1", "berta", Role::Observe));
+    let from = |i| proven(&format!("10.0.{i}.1"), "anna", Role::Observe);
+    let flood: Vec<_> = (0..100).map(|i| established(&places, &from(i))).collect();
+    assert_eq!(hung_up(&flood).await.len(), 101 - CONNECTIONS_MAX);
+    assert_eq!(hung_up(&[other]).await, [0_usize; 0]);
+}
+
+#[tokio::test]
+async fn peers_without_the_role_stop_do_not_take_the_places_of_peers_with_it() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let places = places(&host);
+    let of = |role, from: usize, count| {
+        (from..from + count)
+            .map(|i| established(&places, &proven(&format!("10.0.{i}.1"), &format!("p{i}"), role)))
+            .collect::<Vec<_>>()
+    };
+    let stopping = of(Role::Stop, 0, STOP_CONNECTIONS_MAX);
+    let _observing = of(Role::Observe, 100, 2 * CONNECTIONS_MAX);
+    assert_eq!(hung_up(&stopping).await, [0_usize; 0]);
+    let _more = of(Role::Stop, 50, 2);
+    assert_eq!(hung_up(&stopping).await, [0, 1], "they are limited themselves");
+}
+
+#[tokio::test]
+async fn established_connections_that_do_not_close_are_not_joined_by_ever_more() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let places = places(&host);
+    let most = 2 * (CONNECTIONS_MAX + STOP_CONNECTIONS_MAX);
+    let from = |i: usize| at(&format!("10.0.{}.1", i % 250));
+    let tickets: Vec<_> = (0..most + 3).map(|i| established(&places, &from(i))).collect();
+    let last: Vec<_> = hung_up(&tickets).await.into_iter().filter(|i| *i >= most).collect();
+    assert_eq!(last, [most, most + 1, most + 2]);
 }
 
 /// Claims the robot from within this process. The claim lasts until the link is dropped.

@@ -130,3 +130,35 @@ async fn a_key_that_is_revoked_while_its_owner_proves_it_is_not_admitted() {
     std::fs::remove_file(&path).unwrap();
     assert_eq!(refused.to_string(), "the operator's key was revoked");
 }
+
+/// A peer whose messages take long to arrive still has time for its handshake.
+#[tokio::test]
+async fn a_slow_handshake_is_completed_while_many_other_connections_are_opened() {
+    let (_host, address, held) = sealed(PATIENT).await;
+    let (near, mut far) = tokio::io::duplex(64 * 1024);
+    let mut slow = TcpStream::connect(address).await.unwrap();
+    let connecting = tokio::spawn(async move {
+        let mut sealed = connect(near, &held).await?;
+        sealed.write_all(ASK).await?;
+        sealed.flush().await?;
+        sealed.read_exact(&mut [0]).await
+    });
+    // Transfers a part of the handshake, then opens many other connections, and so on.
+    let mut flood = Vec::new();
+    let mut buffer = [0; 1024];
+    for _ in 0..2 {
+        let n = far.read(&mut buffer).await.unwrap();
+        slow.write_all(&buffer[..n]).await.unwrap();
+        for _ in 0..200 {
+            flood.push(TcpStream::connect(address).await.unwrap());
+        }
+        let n = slow.read(&mut buffer).await.unwrap();
+        far.write_all(&buffer[..n]).await.unwrap();
+    }
+    let copied = tokio::io::copy_bidirectional(&mut slow, &mut far);
+    let connected = tokio::select! {
+        connected = connecting => connected.unwrap(),
+        _ = copied => panic!("the robot has closed the connection"),
+    };
+    assert!(connected.is_ok(), "{connected:?}");
+}

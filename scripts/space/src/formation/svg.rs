@@ -1,5 +1,10 @@
-//! Reads the paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms. Texts and pictures are ignored,
-//! and external files are never read.
+//! Reads the paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms. Texts, pictures, masks, clips,
+//! filters and markers are ignored, and external files are never read.
+
+mod cost;
+
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::time::Duration;
 
 use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Point as Flat};
@@ -17,6 +22,8 @@ const POINTS_MAX: usize = 200_000;
 const NUMBER_MAX: f64 = 1e9;
 /// Number of lines that approximate a curve; the error is below a thousandth of the curve's length.
 const CHORDS: u8 = 32;
+/// Maximum time to read a drawing. Drawings within the other limits take less than a tenth of it.
+const PATIENCE: Duration = Duration::from_secs(30);
 /// Stack size of the thread that reads a drawing. It reads nested groups recursively, at most 1024 levels deep.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 
@@ -33,15 +40,22 @@ pub fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         let message = format!("the drawing has {} bytes", bytes.len());
         return Err(Unfit { message, expected: "an SVG drawing of at most 16 MiB" });
     }
-    let read = || {
-        std::thread::scope(|scope| {
-            let thread = std::thread::Builder::new().stack_size(STACK_BYTES);
-            thread.spawn_scoped(scope, || lines_of(bytes)).map(std::thread::ScopedJoinHandle::join)
-        })
-    };
-    // A drawing that crashes the library must not end this program.
-    match read() {
+    read_within(bytes.to_vec(), PATIENCE)
+}
+
+/// Reads a drawing in a thread of its own, because a drawing that crashes the library must not end this program. If the thread takes
+/// longer than `patience`, it is abandoned, and ends with the process at the latest.
+pub(super) fn read_within(bytes: Vec<u8>, patience: Duration) -> Result<Vec<FlatStroke>, Unfit> {
+    let (read, lines) = sync_channel(1);
+    let thread = std::thread::Builder::new().stack_size(STACK_BYTES);
+    let started = thread.spawn(move || read.send(lines_of(&bytes)));
+    let lines = started.map(|_| lines.recv_timeout(patience));
+    match lines {
         Ok(Ok(lines)) => lines,
+        Ok(Err(RecvTimeoutError::Timeout)) => {
+            let message = format!("the drawing takes longer than {} s to read", patience.as_secs());
+            Err(Unfit { message, expected: "a simpler drawing" })
+        }
         _ => Err(Unfit { message: "the drawing cannot be read".to_owned(), expected: EXPECTED }),
     }
 }
@@ -55,11 +69,15 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     let unfit = |error| Unfit { message: format!("this is not an SVG drawing: {error}"), expected: EXPECTED };
     let text = std::str::from_utf8(bytes).map_err(|_| unfit(usvg::Error::NotAnUtf8Str))?;
     let parsing = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, parsing).map_err(|error| unfit(error.into()))?;
+    let text = cost::without_effects(text);
+    let document = Document::parse_with_options(&text, parsing).map_err(|error| unfit(error.into()))?;
     let paths = document.descendants().filter_map(|node| node.attribute("d"));
     if let Some(number) = paths.flat_map(numbers).find(|number| number.abs() > NUMBER_MAX) {
         let message = format!("a path of the drawing contains a number that is too large: {number:e}");
         return Err(Unfit { message, expected: "numbers of at most one billion in paths" });
+    }
+    if let Some(unfit) = cost::excess(&document) {
+        return Err(unfit);
     }
     let tree = Tree::from_xmltree(&document, &options).map_err(unfit)?;
     let mut pen = Pen::default();

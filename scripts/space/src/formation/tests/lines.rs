@@ -146,6 +146,75 @@ fn nested_groups_and_multiplied_paths_end() {
     assert!(svg::read(laughs.as_bytes()).is_err());
 }
 
+/// Returns a drawing with this content.
+fn drawing(content: &str) -> Vec<u8> {
+    format!("<svg xmlns='http://www.w3.org/2000/svg'>{content}</svg>").into_bytes()
+}
+
+#[test]
+fn nested_effects_do_not_multiply() {
+    // Each level refers to the level below four times. The library would convert 4^30 paths.
+    for (element, property) in
+        [("mask", "mask"), ("clipPath", "clip-path"), ("pattern", "fill"), ("marker", "marker-mid")]
+    {
+        let mut nested = format!("<{element} id='r0'><path d='M0 0L1 1'/></{element}>");
+        let mut sheet = String::new();
+        for level in 1..30 {
+            let below = level - 1;
+            let by_attribute = format!("<path {property} = 'url(#r{below})' d='M0 0L1 1L2 0z'/>").repeat(2);
+            let by_style =
+                format!("<path style='stroke: red; {property}: url(\"#r{below}\")' d='M0 0L1 1L2 0z'/>");
+            let by_sheet = format!("<path class='c{level}' d='M0 0L1 1L2 0z'/>");
+            sheet.push_str(&format!(".c{level} {{ {} : url(#r{below}) }}", property.to_uppercase()));
+            nested.push_str(&format!(
+                "<{element} id='r{level}'>{by_attribute}{by_style}{by_sheet}</{element}>"
+            ));
+        }
+        let seen = format!("<path {property}='url(#r29)' stroke='red' d='M0 0L1 1L2 0z'/>");
+        let strokes = svg::read(&drawing(&format!("<style>{sheet}</style>{nested}{seen}"))).unwrap();
+        assert_eq!(strokes.len(), 1, "{element}");
+    }
+}
+
+#[test]
+fn reading_a_drawing_ends_after_the_maximum_time() {
+    let paths = "<path d='M0 0L1 1' stroke='red'/>".repeat(20_000);
+    let unfit = svg::read_within(drawing(&paths), std::time::Duration::ZERO).unwrap_err();
+    assert_eq!(unfit.message, "the drawing takes longer than 0 s to read");
+}
+
+#[test]
+fn style_sheets_that_would_take_hours_are_refused() {
+    let paths = format!("{}{}{}", "<g>".repeat(300), "<path d='M0 0L1 1'/>".repeat(800), "</g>".repeat(300));
+    for sheet in [
+        "*{fill:red;stroke:blue;opacity:1}".repeat(9_000),
+        format!("{}{{fill:red}}", "* ".repeat(20_000)),
+        ".x g g g g g g g g path{fill:red}".to_owned(),
+    ] {
+        let told = svg::read(&drawing(&format!("<style>{sheet}</style>{paths}"))).unwrap_err().message;
+        assert!(told.contains("style sheets of the drawing are too long"), "{told}");
+    }
+}
+
+#[test]
+fn drawings_as_programs_write_them_are_read() {
+    let classes: String =
+        (0..200).map(|i| format!(".cls-{i}{{fill:#fff;stroke:#000;stroke-width:2px}}")).collect();
+    let paths: String = (0..3_000)
+        .map(|i| {
+            format!(
+                "<g><path id='p{i}' class='cls-{}' d='M{i} 0L1 1' marker-end='url(#arrow)'/></g>",
+                i % 200
+            )
+        })
+        .collect();
+    let arrow = "<defs><marker id='arrow'><path d='M0 0L1 1L0 2z'/></marker></defs>";
+    let sheet = format!("<style>{classes} #layer .cls-1 > path, svg g path {{fill: red}}</style>");
+    assert!(svg::read(&drawing(&format!("{sheet}{arrow}{paths}"))).unwrap().len() >= 3_000);
+    let itself = "<g id='a'><use href='#a'/><path d='M0 0L1 1' stroke='red'/></g>";
+    let _ = svg::read(&drawing(itself));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
