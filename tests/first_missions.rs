@@ -42,7 +42,7 @@ cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 300ms, to: 2}, {
 
 /// Plays both acts. Repeats the command `go`, which starts the second act, until the mission accepts it.
 #[test]
-fn two_acts_are_played_by_all_robots_and_the_second_waits_for_go() {
+fn all_robots_play_two_acts_and_second_waits_for_go() {
     let stage = stage(3);
     let ended = stage::held_up::played(
         || {
@@ -67,7 +67,7 @@ fn two_acts_are_played_by_all_robots_and_the_second_waits_for_go() {
 }
 
 #[test]
-fn no_robot_moves_if_one_of_them_is_gone() {
+fn no_robot_moves_if_one_is_missing() {
     let mut stage = stage(3);
     stage.robots[1].kill();
     let ended = stage.run(&["run", "show.yaml", "--patience", "2s", "--format", "json"]);
@@ -79,7 +79,7 @@ fn no_robot_moves_if_one_of_them_is_gone() {
 }
 
 #[test]
-fn a_stop_by_ctrl_c_is_confirmed_by_every_robot() {
+fn every_robot_confirms_a_ctrl_c_stop() {
     let stage = stage(2);
     let ended = stage::held_up::played(
         || {
@@ -104,7 +104,7 @@ fn a_stop_by_ctrl_c_is_confirmed_by_every_robot() {
 }
 
 #[test]
-fn a_mission_in_the_background_is_stopped_from_another_terminal() {
+fn background_mission_is_stopped_from_another_terminal() {
     let stage = stage(2);
     let started = stage.play(&["run", "long.yaml", "--detach"]);
     assert_eq!(started.code, Some(0), "{started}");
@@ -115,7 +115,7 @@ fn a_mission_in_the_background_is_stopped_from_another_terminal() {
 }
 
 #[test]
-fn a_mission_whose_scheduler_was_killed_is_stopped_from_its_journal() {
+fn mission_with_killed_scheduler_is_stopped_from_its_journal() {
     let stage = stage(2);
     let mut running = stage.begin(&["run", "long.yaml"], 0..stage.robots.len(), 3);
     running.process.kill();

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn any_hash_is_read_back_in_small_and_in_large_letters() {
+    fn hash_round_trips_and_is_accepted_in_uppercase() {
         for byte in 0..=255 {
             let hash = ContentHash([byte; 32]);
             let text = format!("{byte:02x}").repeat(32);
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn sixty_four_digits_are_a_hash_and_nothing_else_is() {
+    fn hash_has_exactly_64_hexadecimal_digits() {
         for other in (1..128_u8).map(char::from).filter(|letter| !letter.is_ascii_hexdigit()) {
             let mut digits = "0".repeat(63);
             digits.insert(usize::from(other as u8) % 64, other);

@@ -141,13 +141,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_limit_counts_characters_and_not_bytes() {
+    fn string_limit_counts_characters_instead_of_bytes() {
         assert!(Label::new("я".repeat(256)).is_ok());
         assert_eq!(Label::new("я".repeat(257)), Err(LimitError::StringTooLong { chars: 257 }));
     }
 
     #[test]
-    fn of_the_reason_of_an_error_as_much_is_kept_as_any_string_may_have() {
+    fn error_message_is_truncated_to_the_string_limit() {
         for (chars, kept) in [(256, 256), (257, 256), (1_000_000, 256)] {
             let json = format!(r#"{{"code":"internal","message":"{}"}}"#, "я".repeat(chars));
             let error: crate::ControlError = serde_json::from_str(&json).unwrap();
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn an_identifier_is_not_empty() {
+    fn empty_identifier_is_rejected() {
         assert_eq!(DeviceId::new(""), Err(LimitError::EmptyIdentifier));
     }
 }

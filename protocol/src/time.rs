@@ -377,7 +377,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_timestamp_is_written_with_nine_digits_and_read_back() {
+    fn timestamp_is_written_with_nine_decimals_and_parsed_back() {
         let instant = Timestamp::<Server>::from_nanos(1_795_028_400_000_000_001);
         let text = serde_json::to_string(&instant).unwrap();
         assert_eq!(text, "\"2026-11-18T19:00:00.000000001Z\"");
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn milliseconds_are_rounded_as_f64_rounds() {
+    fn milliseconds_are_rounded_like_f64() {
         let special = [0.0, -0.0, 0.499_999_999_999_999_94, 0.5, 1.5, 2.5, 4_503_599_627_370_497.5, 9.3e18];
         let special = special.into_iter().chain([f64::INFINITY, f64::NAN, f64::MAX, f64::MIN_POSITIVE]);
         let many = (0..100_000).map(|n| f64::from(n) * 7_919.25 + f64::from(n) * 1e-3);
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_is_neither_negative_nor_endless_nor_nan() {
+    fn offset_is_finite_and_not_negative() {
         assert!(Millis::new(-0.001).is_err());
         assert!(Millis::new(f64::NAN).is_err());
         assert!(Millis::new(f64::INFINITY).is_err());
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn spans_read_well() {
+    fn spans_are_displayed_in_readable_units() {
         assert_eq!(Span::from_nanos(1_500_000).to_string(), "1.5 ms");
         assert_eq!(Span::from_nanos(82_000).to_string(), "82 us");
         assert_eq!(Span::from_millis(4_250).to_string(), "4.25 s");

@@ -46,7 +46,7 @@ fn step(millis: f64, value: f64) -> Step {
 }
 
 #[test]
-fn the_papers_script_is_one_request_byte_for_byte() {
+fn script_of_the_paper_round_trips_byte_for_byte() {
     let Ok(Message::ControlRequest(decoded)) = decode_one(PAPER_SCRIPT) else { panic!() };
     let steps = vec![step(0.0, 45.0), step(1000.0, 0.0), step(2000.0, 45.0)];
     let built = ControlRequest {
@@ -64,7 +64,7 @@ fn the_papers_script_is_one_request_byte_for_byte() {
 }
 
 #[test]
-fn an_initialization_block_keeps_everything_through_a_round_trip() {
+fn initialization_block_survives_a_round_trip() {
     let block = decode_one(SERVO_ARM).unwrap();
     assert_eq!(decode_one(&line_of(&block)).unwrap(), block);
     let Message::InitializationBlock(block) = block else { panic!() };
@@ -88,7 +88,7 @@ fn check_round_trip(line: &str) {
 }
 
 #[test]
-fn every_kind_of_message_is_written_as_it_was_read() {
+fn every_kind_of_message_round_trips() {
     check_round_trip(r#"{"availability_request":{"timestamp":"2026-11-20T19:00:00.000000000Z"}}"#);
     check_round_trip(
         r#"{"availability_response":{"originate_timestamp":"2026-11-20T19:00:00.000000000Z","receive_timestamp":"2026-11-20T19:00:00.000100000Z","timestamp":"2026-11-20T19:00:00.000200000Z","status":"OK"}}"#,
@@ -118,7 +118,7 @@ fn check_invalid(line: &str, path: &str, says: &str) {
 }
 
 #[test]
-fn a_message_beyond_the_limits_is_refused_with_its_place() {
+fn message_beyond_the_limits_is_refused_with_its_path() {
     let long = "x".repeat(257);
     check_invalid(
         &format!(r#"{{"control_request":{{"device_id":"{long}","control_type":"sensor"}}}}"#),
@@ -169,7 +169,7 @@ fn a_message_beyond_the_limits_is_refused_with_its_place() {
 }
 
 #[test]
-fn parameters_of_a_custom_control_type_are_bounded_with_all_that_is_in_them() {
+fn custom_parameters_are_limited_including_nested_values() {
     let block = |list: String| {
         decode_one(&format!(
             r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{{"deep":{list}}}}}}}]}}}}"#
@@ -181,7 +181,7 @@ fn parameters_of_a_custom_control_type_are_bounded_with_all_that_is_in_them() {
 }
 
 #[test]
-fn parameters_of_all_custom_control_types_of_a_robot_are_bounded_together() {
+fn custom_parameters_of_a_robot_are_limited_in_total() {
     let block = |types: usize, values: usize| {
         let custom = |i: usize| format!(r#""custom_{i}":{{"deep":[{}0]}}"#, "0,".repeat(values - 1));
         let devices: Vec<_> = (0..2)
@@ -206,7 +206,7 @@ fn parameters_of_all_custom_control_types_of_a_robot_are_bounded_together() {
 }
 
 #[test]
-fn a_text_in_the_parameters_of_a_custom_control_type_is_as_short_as_any_string() {
+fn strings_in_custom_parameters_have_the_usual_length_limit() {
     let block = |parameters: String| {
         decode_one(&format!(
             r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{parameters}}}}}]}}}}"#
@@ -220,7 +220,7 @@ fn a_text_in_the_parameters_of_a_custom_control_type_is_as_short_as_any_string()
 }
 
 #[test]
-fn sixty_four_encodings_are_taken_and_one_more_is_not() {
+fn at_most_64_encodings_are_accepted() {
     let block = |count: usize| {
         let encodings = vec![r#""x""#; count].join(",");
         decode_one(&format!(
@@ -232,7 +232,7 @@ fn sixty_four_encodings_are_taken_and_one_more_is_not() {
 }
 
 #[test]
-fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
+fn at_most_32000_devices_are_accepted() {
     let block = |count: usize| {
         let devices: Vec<_> = (0..count)
             .map(|i| format!(r#"{{"id":"d{i}","name":"d","available_control_types":{{}}}}"#))
@@ -247,7 +247,7 @@ fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
 }
 
 #[test]
-fn thirty_two_thousand_names_in_an_inquiry_are_taken_and_one_more_is_not() {
+fn at_most_32000_names_in_an_inquiry_are_accepted() {
     let inquiry = |key: &str, count: usize| {
         format!(r#"{{"inquiry":{{"{key}":[{}]}}}}"#, vec![r#""a""#; count].join(","))
     };
@@ -259,7 +259,7 @@ fn thirty_two_thousand_names_in_an_inquiry_are_taken_and_one_more_is_not() {
 }
 
 #[test]
-fn an_error_names_the_device_and_request_that_an_answer_needs() {
+fn decode_error_names_device_and_request_for_the_response() {
     let error = decode_one(
         r#"{"control_request":{"device_id":"d","request_id":"r","control_type":"position","control_value":"x"}}"#,
     )
@@ -269,13 +269,13 @@ fn an_error_names_the_device_and_request_that_an_answer_needs() {
 }
 
 #[test]
-fn unknown_keys_are_ignored_so_that_versions_can_differ() {
+fn unknown_keys_are_ignored_for_compatibility() {
     let line = r#"{"control_request":{"device_id":"d","colour":{"r":[1]},"control_type":"sensor"}}"#;
     assert!(decode_one(line).is_ok());
 }
 
 #[test]
-fn an_unknown_control_type_is_a_request_whatever_its_values_are_and_wherever_they_stand() {
+fn unknown_control_type_is_decoded_with_any_values_in_any_key_order() {
     for value in ["[1,2]", "\"fast\"", "{\"x\":1}", "true", "[{\"time_offset_to_start\":0}]", "null"] {
         for request in [
             format!(
@@ -311,7 +311,7 @@ fn an_unknown_control_type_is_a_request_whatever_its_values_are_and_wherever_the
 }
 
 #[test]
-fn a_line_over_the_limit_is_dropped_once_and_the_next_is_read() {
+fn overlong_line_is_dropped_once_and_the_next_line_is_read() {
     let mut decoder = Decoder::new(64);
     for _ in 0..1000 {
         decoder.push(&[b'x'; 50]);
@@ -325,7 +325,7 @@ fn a_line_over_the_limit_is_dropped_once_and_the_next_is_read() {
 }
 
 #[test]
-fn bytes_that_are_no_message_give_typed_errors() {
+fn invalid_bytes_cause_typed_errors() {
     let mut decoder = Decoder::default();
     decoder.push(b"\xff\xfe\nnot json\n");
     decoder.push("[".repeat(100_000).as_bytes());
@@ -339,7 +339,7 @@ fn bytes_that_are_no_message_give_typed_errors() {
 }
 
 #[test]
-fn a_message_of_two_keys_is_json_and_no_message() {
+fn json_object_with_two_keys_is_not_a_message() {
     for line in [
         r#"{"availability_request":{},"x":1}"#,
         r#"{"availability_request":{},"availability_request":{}}"#,
@@ -354,7 +354,7 @@ fn a_message_of_two_keys_is_json_and_no_message() {
 }
 
 #[test]
-fn an_error_quotes_no_more_of_a_line_than_a_string_of_the_protocol_holds() {
+fn decode_error_quotes_a_limited_part_of_the_line() {
     let long = "ж".repeat(100_000);
     for line in [
         format!(r#"{{"{long}":{{}}}}"#),
@@ -372,7 +372,7 @@ fn an_error_quotes_no_more_of_a_line_than_a_string_of_the_protocol_holds() {
 }
 
 #[test]
-fn numbers_that_are_not_finite_are_refused_for_the_device_that_they_were_for() {
+fn non_finite_number_is_refused_with_its_device() {
     for number in ["1e999", "-1e999"] {
         let line = format!(
             r#"{{"control_request":{{"device_id":"d","control_type":"speed","control_value":{number}}}}}"#
@@ -385,7 +385,7 @@ fn numbers_that_are_not_finite_are_refused_for_the_device_that_they_were_for() {
 }
 
 #[test]
-fn the_smallest_numbers_and_the_negative_zero_are_zero() {
+fn tiny_numbers_and_negative_zero_are_read_as_zero() {
     for number in ["1e-400", "-1e-400", "-0", "-0.0", "0e999"] {
         let line = format!(
             r#"{{"control_request":{{"device_id":"d","control_type":"speed","control_value":{number}}}}}"#
@@ -396,7 +396,7 @@ fn the_smallest_numbers_and_the_negative_zero_are_zero() {
 }
 
 #[test]
-fn however_deep_a_line_goes_it_is_read_or_refused() {
+fn deeply_nested_line_is_decoded_or_refused() {
     let nested = |open: &str, close: &str| format!("{}1{}", open.repeat(100_000), close.repeat(100_000));
     for deep in [nested("[", "]"), nested("{\"a\":", "}")] {
         let request =
@@ -422,7 +422,7 @@ fn however_deep_a_line_goes_it_is_read_or_refused() {
 }
 
 #[test]
-fn a_key_that_stands_twice_is_refused_wherever_it_stands() {
+fn duplicate_key_is_refused_at_every_level() {
     let device = |types: &str| {
         format!(
             r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{types}}}]}}}}"#
@@ -453,7 +453,7 @@ fn a_key_that_stands_twice_is_refused_wherever_it_stands() {
 }
 
 #[test]
-fn a_lone_surrogate_is_refused_as_a_string_and_ignored_with_its_key() {
+fn lone_surrogate_is_refused_and_control_characters_round_trip() {
     let line = r#"{"control_request":{"device_id":"\ud800","control_type":"sensor"}}"#;
     assert!(decode_one(line).is_err());
     let control = r#"{"control_request":{"device_id":"d\u0000\n","control_type":"sensor"}}"#;
@@ -462,7 +462,7 @@ fn a_lone_surrogate_is_refused_as_a_string_and_ignored_with_its_key() {
 }
 
 #[test]
-fn a_content_hash_depends_on_the_steps_alone() {
+fn content_hash_depends_only_on_the_steps() {
     let script = |value| Command::Script(Script::new(vec![step(0.0, value)]).unwrap());
     assert_eq!(script(1.0).content_hash(), script(1.0).content_hash());
     assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
@@ -482,7 +482,7 @@ fn through(encoding: Encoding, message: &Message) -> Message {
 
 proptest::proptest! {
     #[test]
-    fn every_message_comes_through_both_encodings_as_it_was(message in arbitrary::message()) {
+    fn every_message_round_trips_through_both_encodings(message in arbitrary::message()) {
         let framed = through(Encoding::MessagePack, &message);
         proptest::prop_assert_eq!(&framed, &message);
         proptest::prop_assert_eq!(&through(Encoding::Json, &message), &message);
@@ -492,7 +492,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn a_script_whose_text_is_kept_is_written_as_one_whose_text_is_not(message in arbitrary::message()) {
+    fn script_with_cached_text_is_written_like_one_without(message in arbitrary::message()) {
         let (before, compact) = (line_of(&message), frame_of(&message));
         match &message {
             Message::ControlRequest(request) => {
@@ -509,7 +509,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn no_bytes_make_the_decoder_panic(bytes: Vec<u8>, cut in 0usize..64) {
+    fn decoder_never_panics(bytes: Vec<u8>, cut in 0usize..64) {
         let mut decoder = Decoder::new(256);
         let (a, b) = bytes.split_at(cut.min(bytes.len()));
         decoder.push(a);
@@ -519,7 +519,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn a_stream_cut_anywhere_gives_the_same_messages(cut in 0usize..PAPER_SCRIPT.len()) {
+    fn stream_split_anywhere_yields_the_same_messages(cut in 0usize..PAPER_SCRIPT.len()) {
         let mut decoder = Decoder::default();
         decoder.push(&PAPER_SCRIPT.as_bytes()[..cut]);
         proptest::prop_assert!(decoder.next_message().is_none());
@@ -564,7 +564,7 @@ mod schema {
 
     proptest::proptest! {
         #[test]
-        fn the_schema_lists_every_key_that_is_written(message in arbitrary::message()) {
+        fn schema_lists_every_written_key(message in arbitrary::message()) {
             let schema = crate::message_schema();
             let written: Value = serde_json::from_str(&line_of(&message)).unwrap();
             let mut found = BTreeSet::new();

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn of_what_has_ended_so_many_are_kept_and_what_has_not_is_never_forgotten() {
+    fn ended_requests_are_kept_up_to_a_limit_and_others_always() {
         for (devices, kept) in [(1, 256), (64, 256), (65, 260)] {
             let mut answers = Answers::of(devices);
             answers.remember(&answer("runs", Status::Started));
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_answer_counts_and_when_it_began_stays() {
+    fn last_answer_replaces_earlier_ones_and_keeps_the_start_times() {
         let mut answers = Answers::of(1);
         let (begun, over) = (Timestamp::from_nanos(5), Timestamp::from_nanos(9));
         answers.plan(&id("a"), begun);

@@ -215,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bucket_gives_its_burst_and_then_its_rate_and_waits_for_its_debt() {
+    fn bucket_grants_its_burst_then_its_rate_and_waits_for_its_debt() {
         let begin = Instant::now();
         let after = |millis| begin + Duration::from_millis(millis);
         let mut bucket = Bucket::full(rate(10.0, 5.0), begin);
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn strangers_pause_early_and_together_and_the_owner_late() {
+    fn strangers_pause_early_and_jointly_and_the_owner_late() {
         let now = Instant::now();
         let strangers = Strangers::at(now);
         let until_pause = |standing| messages_until_pause(now, &strangers, standing);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn questions_with_long_answers_cost_more() {
+    fn requests_with_long_responses_cost_more() {
         let now = Instant::now();
         let strangers = Strangers::at(now);
         let mut budget = Budget::new(now, Standing::Stranger);
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_messages_and_reading_each_slow_a_peer_down_by_the_rate_of_its_kind() {
+    fn bytes_messages_and_reading_time_each_slow_a_peer_by_its_rates() {
         for standing in STANDINGS {
             check_pause(standing, |now, budget, share| budget.came(now, beyond(share.bytes) as usize));
             check_pause(standing, |now, budget, share| budget.messages.take(now, beyond(share.messages)));
@@ -299,14 +299,14 @@ mod tests {
     }
 
     #[test]
-    fn an_owner_may_send_more_than_who_meets_a_free_robot_and_this_one_more_than_a_stranger() {
+    fn owner_may_send_most_and_stranger_least() {
         let bytes = STANDINGS.map(|standing| share_of(standing).bytes);
         assert_eq!(bytes.map(|rate| rate.most / KIB), [512.0 * 1024.0, 32.0 * 1024.0, 256.0]);
         assert_eq!(bytes.map(|rate| rate.per_second / KIB), [128.0 * 1024.0, 16.0 * 1024.0, 64.0]);
     }
 
     #[test]
-    fn who_comes_to_own_the_robot_has_an_owners_budget_at_once() {
+    fn new_owner_of_the_robot_immediately_has_the_budget_of_an_owner() {
         let now = Instant::now();
         let strangers = Strangers::at(now);
         let mut budget = Budget::new(now, Standing::Stranger);
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_strangers_send_together_slows_each_down_but_neither_a_newcomer_nor_others() {
+    fn shared_budget_slows_strangers_except_newcomers_and_no_other_peer() {
         let now = Instant::now();
         let strangers = Strangers::at(now);
         strangers.took(now, Duration::from_secs(10));
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_few_messages_of_a_stranger_cost_the_others_nothing() {
+    fn first_messages_of_a_stranger_use_no_shared_budget() {
         let now = Instant::now();
         let strangers = Strangers::at(now);
         let mut budget = Budget::new(now, Standing::Stranger);
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn long_lines_and_turns_are_given_back() {
+    async fn slots_for_long_lines_and_turns_are_released() {
         let strangers = Strangers::default();
         let soon = Duration::from_millis(1);
         let both = [strangers.long_line(soon).await.unwrap(), strangers.long_line(soon).await.unwrap()];

@@ -76,20 +76,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_instant_and_its_timestamp_lie_equally_far_from_the_anchor() {
+    fn instant_and_its_timestamp_are_equally_far_from_the_anchor() {
         let clock = HostClock::anchored();
         let later = clock.timestamp + Span::from_millis(1_500);
         assert_eq!(Span::from(clock.instant_of(later) - clock.instant), Span::from_millis(1_500));
     }
 
     #[test]
-    fn an_instant_before_the_anchor_becomes_the_anchor() {
+    fn instant_before_the_anchor_is_clamped_to_the_anchor() {
         let clock = HostClock::anchored();
         assert_eq!(clock.instant_of(clock.timestamp - Span::from_millis(1)), clock.instant);
     }
 
     #[test]
-    fn the_clock_agrees_with_the_systems_at_its_anchor() {
+    fn clock_agrees_with_the_system_clock_at_its_anchor() {
         // The system clock is read before and after the host's clock, so the test needs no bound on speed.
         let system = || Span::from(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap());
         let before = system();
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_clock_shows_at_an_instant_lies_as_far_from_its_anchor_before_and_behind_it() {
+    fn timestamps_before_and_after_the_anchor_keep_their_distance() {
         let clock = HostClock::anchored();
         let second = std::time::Duration::from_secs(1);
         let shown =
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_system_clock_that_was_set_since_the_anchor_is_ahead_by_that() {
+    fn system_clock_set_after_the_anchor_is_ahead_by_the_change() {
         let hour = Span::from_millis(3_600_000);
         let clock = HostClock::anchored();
         let before = clock.ahead_by(Span::ZERO - hour);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_goes_forward_from_its_anchor() {
+    fn clock_advances_from_its_anchor() {
         let clock = HostClock::anchored();
         let early = HostClock { instant: clock.instant - std::time::Duration::from_secs(600), ..clock };
         let since = early.now() - early.timestamp;

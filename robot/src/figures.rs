@@ -134,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_duration_is_in_the_class_whose_bound_it_does_not_exceed() {
+    fn duration_is_in_the_class_whose_bound_it_does_not_exceed() {
         let waits = Distribution::default();
         for micros in [-5, 0, 10, 11, 2_000_000] {
             waits.add(Span::from_micros(micros));
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_robot_counts_is_read_as_it_was_noted() {
+    fn counts_of_a_robot_are_read_as_they_were_recorded() {
         let figures = Figures::of(2);
         let counts = Counts { held: 1, started: 2, ended: 3, failed: 4, late_steps: 5 };
         figures.robots()[1].note(counts, false);

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn parties_that_hold_nothing_are_forgotten_once_there_are_too_many() {
+    fn parties_without_held_commands_are_forgotten_when_there_are_too_many() {
         let mut heard = LastMessages::default();
         let many = PARTIES_MIN as u64;
         let full: Vec<_> = (0..=many).map(|party| heard.heard(LinkId(party), at(1))).collect();
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn many_that_hold_something_have_room_for_as_many_more() {
+    fn parties_with_held_commands_leave_room_for_as_many_others() {
         let mut heard = LastMessages::default();
         let holding: HashSet<_> = (0..2_000).map(LinkId).collect();
         let full = holding.iter().filter(|party| heard.heard(**party, at(1))).count();
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_counts_from_its_begin_or_from_what_was_heard_last() {
+    fn lease_counts_from_its_start_or_from_the_last_received_message() {
         let mut heard = LastMessages::default();
         let silence = Millis::new(100.0).ok();
         let lease = Lease { link: LinkId(1), granted: at(50), silence };

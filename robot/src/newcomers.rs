@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn the_host_with_most_connections_gives_way_and_no_other() {
+    fn host_with_most_connections_loses_one() {
         let newcomers = Arc::new(Newcomers::of(20));
         let (_first, none) =
             closed(&newcomers, 0, &["192.0.2.1", "198.51.100.7", "198.51.100.7", "203.0.113.1"]);
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_network_with_most_connections_gives_way_however_many_hosts_it_has() {
+    fn network_with_most_connections_loses_one() {
         let newcomers = Arc::new(Newcomers::of(4));
         let (_first, _) =
             closed(&newcomers, 0, &["192.0.2.1", "198.51.100.1", "198.51.100.2", "198.51.100.3"]);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn connections_of_unknown_origin_give_way_by_age() {
+    fn oldest_connection_of_unknown_origin_is_closed() {
         let newcomers = Arc::new(Newcomers::of(2));
         let (_first, _) = closed(&newcomers, 0, &["127.0.0.1", "127.0.0.1"]);
         let hang_up = Arc::<Notify>::default();
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_counts_at_each_robot_separately() {
+    fn connections_of_a_host_are_counted_per_robot() {
         let newcomers = Arc::new(Newcomers::of(4));
         // One operator connects to three robots, while someone else opens two connections to one robot.
         let (_other, _) = closed(&newcomers, 0, &["198.51.100.7"]);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn connections_that_were_asked_to_close_are_limited_too() {
+    fn number_of_closing_newcomers_is_limited() {
         let newcomers = Arc::new(Newcomers::of(2));
         let (admitted, _) = closed(&newcomers, 0, &["192.0.2.1"; 4]);
         let one = || newcomers.admit(0, &peer("192.0.2.1"), &Arc::default());

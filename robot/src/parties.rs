@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_party_is_reached_where_it_was_heard_last_and_otherwise_on_its_newest_link() {
+    fn party_is_reached_on_its_last_active_connection_or_its_newest() {
         let mut parties = Parties::default();
         for link in [ONE, THREE, TWO] {
             assert_eq!(parties.join(link, &session("s")), ONE, "it is named by its first link");
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_speaks_for_another_session_leaves_its_party_and_becomes_a_new_one() {
+    fn connection_with_another_session_leaves_its_party_for_a_new_one() {
         let mut parties = Parties::default();
         parties.join(ONE, &session("a"));
         parties.join(TWO, &session("a"));
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_of_one_who_has_proven_a_name_is_another_one_than_that_of_any_other() {
+    fn session_of_a_proven_name_differs_from_the_same_session_of_others() {
         let mut parties = Parties::default();
         parties.proven(ONE, proof("eve"));
         parties.proven(TWO, proof("eve"));
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn an_idle_robot_belongs_to_whoever_was_heard_in_the_last_five_seconds_on_a_link_that_stands() {
+    fn idle_robot_belongs_to_a_connected_party_active_in_last_five_seconds() {
         let mut parties = Parties::default();
         let party = parties.join(ONE, &session("s"));
         parties.claim(parties.claimant(ONE, &session("s")), party);
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_changes_hands_is_known_by_a_number_and_to_the_one_that_had_it() {
+    fn ownership_changes_are_counted_and_reported_to_the_previous_owner() {
         let mut parties = Parties::default();
         parties.proven(ONE, proof("eve"));
         let eve = parties.claimant(ONE, &session("s"));
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn of_too_many_sessions_the_oldest_is_forgotten_that_owns_nothing_and_has_no_link() {
+    fn oldest_session_without_robot_and_connection_is_forgotten_at_the_limit() {
         let mut parties = Parties::default();
         let name = |number: usize| session(&format!("s{number}"));
         let link = |number: usize| LinkId(number as u64);

@@ -145,7 +145,7 @@ mod tests {
     use urrcp::Roles;
 
     #[test]
-    fn quotas_are_counted_by_network_and_host_and_not_on_the_loopback_interface() {
+    fn quotas_apply_per_network_and_host_except_on_loopback() {
         let of = |address: &str| {
             Peer::at(address.parse().unwrap()).prefixes().map(|both| both.map(|prefix| prefix.to_string()))
         };
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_whose_address_is_hidden_is_not_trusted_for_that() {
+    fn peer_with_hidden_address_is_not_taken_as_in_process() {
         let hidden = Peer::through("zenoh:a1.7");
         assert_eq!((hidden.address(), hidden.prefixes()), (None, None));
         assert!(!hidden.is_in_process() && Peer::in_process().is_in_process());
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_names_a_peer_by_its_proven_name_and_address() {
+    fn log_names_a_peer_by_its_proven_name_and_address() {
         let peer = Peer::at("192.0.2.7:1000".parse().unwrap());
         assert_eq!(peer.to_string(), "192.0.2.7:1000");
         assert_eq!(

@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_as_long_as_silence_may_be_and_no_longer() {
+    fn stop_condition_limits_are_at_most_the_maximum_silence() {
         for limit in [[Some(SILENCE_MAX), None], [None, Some(SILENCE_MAX)]] {
             check(says(GRAIN, GRAIN, limit, true), None);
         }
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_far_ahead_needs_a_pending_limit_unless_it_follows_something() {
+    fn distant_start_requires_a_pending_limit_unless_it_follows_a_command() {
         let lease = [Some(Span::from_millis(300)), None];
         let without = START_WITHOUT_LEASE_MAX;
         check(says(without, without, [None; 2], true), None);
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_far_ahead_needs_a_running_limit() {
+    fn distant_end_requires_a_running_limit() {
         check(says(GRAIN, REACH_MAX, [None; 2], true), None);
         check(says(GRAIN, REACH_MAX + GRAIN, [None; 2], true), Some("requires a `running` stop_condition"));
         check(says(GRAIN, REACH_MAX + GRAIN, [None, Some(Span::from_millis(300))], true), None);

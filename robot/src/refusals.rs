@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_reason_is_counted_and_logged_once_a_second() {
+    fn every_refusal_is_counted_and_each_reason_is_logged_once_a_second() {
         let refusals = Refusals::default();
         let peer = Peer::in_process();
         let logged = [0, 1, 999, 1_000, 1_500, 2_000].map(|at| refusals.note_at(Reason::Unread, &peer, at));

@@ -235,7 +235,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ramp_is_linear_and_rests_where_it_arrives() {
+    fn ramp_is_linear_and_rests_at_its_end() {
         let at = Timestamp::from_nanos;
         let ramp = Signal::ramp(10.0, at(1_000_000), 20.0, at(3_000_000));
         let values = [0, 1_000_000, 2_000_000, 3_000_000, 9_000_000].map(|nanos| ramp.value(at(nanos)));
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn between_ends_whose_distance_is_beyond_all_numbers_a_ramp_is_linear_too() {
+    fn ramp_between_ends_with_unrepresentable_distance_is_linear() {
         let at = Timestamp::from_nanos;
         let ramp = Signal::ramp(-1e308, at(0), 1e308, at(4_000_000));
         let values = [1_000_000, 2_000_000, 3_000_000].map(|nanos| ramp.value(at(nanos)));
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
+    fn coming_to_rest_stays_within_acceleration_and_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: Some(10.0), acceleration: Some(20.0) };
         // Upwards at 8 per second, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_standstill_beyond_the_limits_is_avoided_by_braking_harder() {
+    fn device_brakes_harder_to_stop_within_limits() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let limits = Limits { min_value: 0.0, max_value: 10.0, granularity: 0.1, max_error: None };
         let moving = Signal::ramp(0.0, at(0), 10.0, at(1_000));
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_that_begins_elsewhere_than_at_zero_comes_to_rest_from_its_own_speed() {
+    fn ramp_with_nonzero_start_comes_to_rest_from_its_own_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: None, acceleration: Some(20.0) };
         // Up and down at 4 per second: 0.4 further in 0.2 s.
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_not_begun_or_has_arrived_has_no_speed_to_slow_down_from() {
+    fn ramp_before_its_start_or_after_its_end_has_no_speed_to_reduce() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: None, acceleration: Some(20.0) };
         let moving = Signal::ramp(10.0, at(1_000), 20.0, at(2_000));
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_below_its_top_speed_goes_to_its_target_by_speeding_up_and_slowing_down() {
+    fn device_below_top_speed_reaches_target_by_accelerating_and_braking() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let resting = Signal::resting(10.0, at(0));
         // A distance of 5 at 20 per second squared: half a second for each half, without a phase of constant speed.
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lower_limit_is_not_left_while_braking_either() {
+    fn braking_does_not_cross_the_lower_limit() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let limits = Limits { min_value: 2.0, max_value: 10.0, granularity: 0.1, max_error: None };
         let moving = Signal::ramp(10.0, at(0), 2.0, at(800));
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_is_beyond_all_numbers_is_none() {
+    fn unrepresentable_stopping_distance_yields_no_motion() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let moving = Signal::ramp(0.0, at(0), 1e300, at(1_000));
         let rates = Rates { speed: None, acceleration: Some(1.0) };
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_is_slowed_in_the_time_that_its_acceleration_takes() {
+    fn speed_change_takes_the_time_given_by_its_acceleration() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let turning = Signal::resting(-8.0, at(0));
         let slowed = turning.slowed_to(at(100), 2.0, 20.0).unwrap();
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_declares_only_a_speed_goes_home_at_that_speed_and_stops_at_once() {
+    fn device_with_only_a_speed_goes_home_at_that_speed_and_stops_at_once() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: Some(10.0), acceleration: None };
         let resting = Signal::resting(80.0, at(0));
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn what_slows_down_and_is_stopped_again_comes_to_rest_at_the_same_place_and_time() {
+    fn stopping_while_slowing_down_keeps_place_and_time_of_rest() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: None, acceleration: Some(20.0) };
         let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));

@@ -141,7 +141,7 @@ fn request(inner: &str) -> String {
 }
 
 #[tokio::test]
-async fn lines_that_are_no_message_are_refused_and_the_link_goes_on() {
+async fn invalid_messages_are_refused_and_the_connection_stays_open() {
     let mut stage = Stage::set().await;
     let mut peer = stage.hostile().await;
     let long = "ж".repeat(257);
@@ -179,7 +179,7 @@ async fn lines_that_are_no_message_are_refused_and_the_link_goes_on() {
 }
 
 #[tokio::test]
-async fn what_is_strange_and_no_error_is_taken() {
+async fn unusual_but_valid_messages_are_accepted() {
     let mut stage = Stage::set().await;
     let mut peer = Peer::connected(stage.addresses[0]).await;
     let deep = format!("{}{}", "[".repeat(100_000), "]".repeat(100_000));
@@ -200,7 +200,7 @@ async fn what_is_strange_and_no_error_is_taken() {
 }
 
 #[tokio::test]
-async fn a_line_beyond_the_limit_is_refused_once_and_takes_no_more_than_a_few_lines_of_memory() {
+async fn overlong_line_is_refused_once_and_uses_bounded_memory() {
     let mut stage = Stage::set().await;
     let mut peer = stage.hostile().await;
     let growth = Growth::begins();
@@ -218,7 +218,7 @@ async fn a_line_beyond_the_limit_is_refused_once_and_takes_no_more_than_a_few_li
 }
 
 #[tokio::test]
-async fn a_never_ending_line_is_refused_while_it_goes_on() {
+async fn never_ending_line_is_refused_while_it_is_received() {
     let mut stage = Stage::set().await;
     let mut peer = stage.hostile().await;
     let chunk = vec![b'['; MIB];
@@ -232,7 +232,7 @@ async fn a_never_ending_line_is_refused_while_it_goes_on() {
 }
 
 #[tokio::test]
-async fn half_a_line_and_then_nothing_does_no_harm() {
+async fn incomplete_line_does_no_harm() {
     let mut stage = Stage::set().await;
     let mut silent = stage.hostile().await;
     silent.write(b"{\"availability_requ").await;
@@ -249,7 +249,7 @@ async fn half_a_line_and_then_nothing_does_no_harm() {
 }
 
 #[tokio::test]
-async fn ten_thousand_questions_of_a_peer_that_does_not_read_take_no_more_than_their_share_of_memory() {
+async fn many_requests_of_a_peer_that_does_not_read_use_bounded_memory() {
     let mut stage = Stage::set().await;
     let mut deaf = Peer::connected(stage.addresses[1]).await;
     let growth = Growth::begins();

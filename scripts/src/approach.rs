@@ -150,7 +150,7 @@ acts:
     }
 
     #[test]
-    fn a_device_is_moved_from_where_it_is_to_its_first_position_and_a_lamp_is_not() {
+    fn approach_moves_devices_to_their_first_positions_but_not_lamps() {
         let (show, fleet) = show();
         let (show, first) = add_approach(show, 0, &fleet, &approach(5, 80.0)).unwrap();
         let names: Vec<_> = show.acts.iter().map(|act| act.name.as_str()).collect();
@@ -164,7 +164,7 @@ acts:
     }
 
     #[test]
-    fn a_device_that_first_moves_in_a_later_act_is_moved_to_the_position_that_this_act_expects() {
+    fn device_first_moved_in_later_act_approaches_its_expected_position() {
         let (mut show, fleet) = show();
         let cue = &mut show.acts[1].plan.robots[0].scripts[0];
         cue.device = "still".parse().unwrap();
@@ -184,14 +184,14 @@ acts:
     }
 
     #[test]
-    fn an_approach_faster_than_a_device_is_refused_and_the_time_that_it_needs_is_named() {
+    fn too_fast_approach_is_refused_and_names_device() {
         let (show, fleet) = show();
         let findings = add_approach(show, 0, &fleet, &approach(1, 80.0)).unwrap_err();
         assert!(findings.iter().any(|finding| finding.message.contains("joint")), "{findings:?}");
     }
 
     #[test]
-    fn a_device_that_came_to_rest_off_its_grid_or_beyond_its_limits_approaches_from_the_nearest_position() {
+    fn approach_begins_at_the_valid_position_nearest_to_the_resting_place() {
         for (rests_at, from) in [(63.2174, 63.0), (-180.2, -180.0)] {
             let (show, fleet) = show();
             let (show, _) = add_approach(show, 0, &fleet, &approach(9, rests_at)).unwrap();
@@ -201,7 +201,7 @@ acts:
     }
 
     #[test]
-    fn after_a_stop_devices_move_to_the_first_positions_of_another_act_as_fast_as_they_may() {
+    fn after_stop_devices_move_to_starts_of_another_act_as_fast_as_allowed() {
         let (mut show, fleet) = show();
         show.acts[1].wait = Wait::Operator;
         // The act returns from `one` to `two`; only its first position matters.
@@ -234,7 +234,7 @@ acts:
     }
 
     #[test]
-    fn an_approach_that_would_collide_with_a_robot_that_stays_is_refused() {
+    fn approach_colliding_with_stationary_robot_is_refused() {
         for act in past_another(0.0) {
             let findings = act.unwrap_err();
             let collides = |finding: &Finding| finding.code == Code::TooClose;
@@ -246,7 +246,7 @@ acts:
     }
 
     #[test]
-    fn without_a_way_to_go_there_is_no_approach() {
+    fn no_approach_is_added_if_devices_are_already_in_position() {
         let (show, fleet) = show();
         let (approached, first) = add_approach(show.clone(), 1, &fleet, &approach(5, 30.0)).unwrap();
         assert_eq!((approached, first), (show, 1));

@@ -139,7 +139,7 @@ acts:
     }
 
     #[test]
-    fn devices_move_within_their_limits_to_their_default_positions() {
+    fn devices_move_to_default_positions_within_their_limits() {
         let (show, fleet) = show();
         let home = plan_home(&show, 0, &fleet, &from(&[("joint", 150.0), ("lamp", 40.0)])).unwrap().unwrap();
         assert_eq!((home.name.as_str(), home.next), ("home-2", crate::Way::End));
@@ -177,20 +177,20 @@ acts:
     }
 
     #[test]
-    fn a_way_home_that_would_collide_with_a_robot_that_stays_is_refused() {
+    fn home_act_colliding_with_stationary_robot_is_refused() {
         let findings = home_past_another(0.0).unwrap_err();
         assert!(findings.iter().any(|finding| finding.code == Code::TooClose), "{findings:?}");
     }
 
     #[test]
-    fn a_device_without_a_default_position_does_not_go_home() {
+    fn device_without_default_position_does_not_move_home() {
         let home = home_past_another(0.5).unwrap();
         let moved: Vec<_> = home.plan.robots.iter().map(|planned| planned.robot.as_str()).collect();
         assert_eq!(moved, ["arm"]);
     }
 
     #[test]
-    fn without_a_device_away_from_its_default_position_there_is_no_act() {
+    fn no_home_act_is_planned_if_devices_are_at_default_positions() {
         let (show, fleet) = show();
         assert_eq!(plan_home(&show, 0, &fleet, &from(&[("joint", 0.1), ("lamp", 0.0)])).unwrap(), None);
     }

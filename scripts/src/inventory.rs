@@ -186,7 +186,7 @@ mod tests {
     use crate::NoFiles;
 
     #[test]
-    fn moves_and_sequences_are_listed_with_what_they_take_and_move() {
+    fn moves_and_sequences_are_listed_with_parameters_devices_and_uses() {
         let text = "scenario: s
 moves:
   greet: {doc: Bows and waves., parameters: {depth: 30, hand: ~}, play: [{move: bow}, [{tracks: {lamp: []}}, {move: wave}]]}

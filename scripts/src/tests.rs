@@ -63,7 +63,7 @@ fn check_laws_with(text: &str, included: &str) {
 }
 
 #[test]
-fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
+fn yaml_error_is_reported_on_line_shown_by_editors() {
     let compiled = compile_text("a: \u{2028}x\u{85}y\n- b: [ö, c\n");
     let finding = &compiled.findings[0];
     assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
@@ -83,7 +83,7 @@ fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
 }
 
 #[test]
-fn a_lone_carriage_return_breaks_a_line_as_in_yaml() {
+fn lone_carriage_return_is_line_break_as_in_yaml() {
     let compiled = compile_text(
         "scenario: s\rcues:\r\n  - at: 0s\r    robots: arm\r    tracks: {d: [{at: 0s, to: 0.3}]}\r",
     );
@@ -93,7 +93,7 @@ fn a_lone_carriage_return_breaks_a_line_as_in_yaml() {
 }
 
 #[test]
-fn what_stands_behind_an_alias_is_placed_where_the_alias_is_used() {
+fn mistake_in_anchor_is_also_located_where_alias_is_used() {
     let text =
         "scenario: s\ncues:\n  - &cue {at: 0s, robots: [arm], tracks: {d: [{at: 0s, to: 1000}]}}\n  - *cue\n";
     let compiled = compile_text(text);
@@ -103,7 +103,7 @@ fn what_stands_behind_an_alias_is_placed_where_the_alias_is_used() {
 }
 
 #[test]
-fn a_gap_between_two_cues_is_held_and_not_crept_through() {
+fn gap_between_cues_holds_value_instead_of_interpolating() {
     let second = "  - at: 5s\n    robots: arm\n    tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 9}]}\n";
     let plan = compile_text(&format!("{SCENARIO}{second}").replace(", ease: smooth", ""))
         .choreography
@@ -117,7 +117,7 @@ fn a_gap_between_two_cues_is_held_and_not_crept_through() {
 }
 
 #[test]
-fn ten_thousand_findings_are_all_placed() {
+fn ten_thousand_findings_are_reported_on_their_lines() {
     let keyframes: String =
         (0..10_000).map(|i| format!("        - {{at: {i}s, to: {}}}\n", 1000 + i)).collect();
     let text = format!("scenario: s\ncues:\n  - at: 0s\n    robots: arm\n    tracks:\n      d:\n{keyframes}");
@@ -129,12 +129,12 @@ fn ten_thousand_findings_are_all_placed() {
 
 proptest! {
     #[test]
-    fn no_text_makes_the_compiler_panic(text in "\\PC{0,200}") {
+    fn no_text_makes_compiler_panic(text in "\\PC{0,200}") {
         check_laws(&text);
     }
 
     #[test]
-    fn no_mutation_of_a_scenario_makes_it_panic(
+    fn no_scenario_mutation_causes_panic(
         cut in 0usize..SCENARIO.len(),
         drop in 0usize..20,
         insert in "[\\[\\]{}:,&*!|>'\"#%@`a-z0-9 \n-]{0,12}",
@@ -236,7 +236,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn no_scenario_of_the_language_makes_it_panic(
+    fn no_generated_scenario_causes_panic(
         cues in prop::collection::vec(cue(), 1..6),
         auto in any::<bool>(),
         tempo in prop::option::of(1u32..300),

@@ -48,7 +48,7 @@ fn files(text: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn every_scenario_in_the_documents_is_sound() {
+fn every_scenario_in_documents_passes_check() {
     for page in ["docs/scenario.md", "docs/cookbook.md"] {
         let document = read(page);
         let scenarios = blocks(&document, "```yaml scenario");
@@ -67,7 +67,7 @@ fn every_scenario_in_the_documents_is_sound() {
 }
 
 #[test]
-fn the_readme_shows_lines_of_a_scenario_as_they_are() {
+fn readme_excerpt_matches_scenario_lines() {
     const OPENING: &str = "```yaml excerpt scripts/examples/sky.yaml";
     let scenario = read("scripts/examples/sky.yaml");
     let excerpts = blocks(&read("README.md"), OPENING);
@@ -79,7 +79,7 @@ fn the_readme_shows_lines_of_a_scenario_as_they_are() {
 }
 
 #[test]
-fn the_table_of_findings_lists_every_code_with_its_title() {
+fn table_of_findings_lists_every_code_with_title() {
     let table = read("docs/findings.md");
     for code in downbeat_scripts::Code::ALL {
         let row = format!("| {} | {} |", code.as_str(), code.title());
@@ -88,7 +88,7 @@ fn the_table_of_findings_lists_every_code_with_its_title() {
 }
 
 #[test]
-fn every_format_that_is_imported_has_a_row_in_its_document_and_a_seed_for_the_fuzzer() {
+fn every_import_format_has_documentation_row_and_fuzzer_seed() {
     let document = read("docs/import.md");
     let seeds = root().join("fuzz/seeds/import");
     let byte = |word: &str| {
@@ -110,7 +110,7 @@ fn every_format_that_is_imported_has_a_row_in_its_document_and_a_seed_for_the_fu
 }
 
 #[test]
-fn the_messages_in_the_protocol_document_are_messages() {
+fn messages_in_protocol_document_are_valid() {
     let document = read("docs/protocol.md");
     let mut messages: Vec<_> = blocks(&document, "```json");
     for exchange in blocks(&document, "```exchange") {
@@ -156,7 +156,7 @@ fn note(at: Timestamp<urrcp::Robot>, out: Vec<Output>, said: &mut Vec<String>) {
 }
 
 #[test]
-fn the_exchanges_in_the_protocol_document_are_what_the_robot_says() {
+fn exchanges_in_protocol_document_match_robot_behaviour() {
     let document = read("docs/protocol.md");
     let block = blocks(&document, "```json").into_iter().find_map(|text| match serde_json::from_str(&text) {
         Ok(urrcp::Message::InitializationBlock(block)) => Some(block),
@@ -188,7 +188,7 @@ fn the_exchanges_in_the_protocol_document_are_what_the_robot_says() {
 }
 
 #[test]
-fn the_hashes_in_the_protocol_document_are_those_of_their_values() {
+fn hashes_in_protocol_document_match_their_values() {
     let document = read("docs/protocol.md");
     let mut hashes = 0;
     for text in blocks(&document, "```json") {
@@ -201,7 +201,7 @@ fn the_hashes_in_the_protocol_document_are_those_of_their_values() {
 }
 
 #[test]
-fn the_frame_in_the_document_is_the_frame_of_its_message() {
+fn frame_in_encoding_document_matches_its_message() {
     let document = read("docs/encoding.md");
     let [json, dump] = ["```json", "```hex"].map(|opening| blocks(&document, opening).concat());
     let digits = dump.lines().flat_map(|line| {
@@ -221,7 +221,7 @@ fn the_frame_in_the_document_is_the_frame_of_its_message() {
 }
 
 #[test]
-fn every_command_of_the_readme_and_the_cookbook_exists() {
+fn every_command_in_readme_and_cookbook_exists() {
     let pages = read("README.md") + &read("docs/cookbook.md");
     for line in pages.lines().filter(|line| line.starts_with("downbeat ")) {
         let words: Vec<_> = line
@@ -235,7 +235,7 @@ fn every_command_of_the_readme_and_the_cookbook_exists() {
 }
 
 #[test]
-fn every_command_is_in_the_table_of_the_readme() {
+fn every_command_is_in_readme_table() {
     let readme = read("README.md");
     let rows: String = readme.lines().filter(|line| line.starts_with("| `")).collect();
     let commands = super::help::commands();
@@ -247,7 +247,7 @@ fn every_command_is_in_the_table_of_the_readme() {
 }
 
 #[test]
-fn the_description_of_a_robot_behind_an_edge_is_one() {
+fn robot_description_in_edge_document_is_valid() {
     let descriptions = blocks(&read("docs/edge.md"), "```yaml edge");
     assert_eq!(descriptions.len(), 1);
     let session = Session::new();
@@ -259,7 +259,7 @@ fn the_description_of_a_robot_behind_an_edge_is_one() {
 }
 
 #[test]
-fn every_page_is_in_the_table_of_contents_of_the_book() {
+fn every_page_is_in_book_table_of_contents() {
     let contents = read("book/SUMMARY.md");
     for entry in std::fs::read_dir(root().join("docs")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();

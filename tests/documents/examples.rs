@@ -9,7 +9,7 @@ fn downbeat(args: &[&str]) -> Ran {
 }
 
 #[test]
-fn every_example_is_sound_and_plays_in_virtual_time() {
+fn every_example_passes_check_and_plays_in_virtual_time() {
     for name in ["swap", "dance", "tank", "wave", "meeting", "sky", "eight"] {
         let scenario = format!("scripts/examples/{name}.yaml");
         downbeat(&["check", &scenario]).says(0, &["no errors"]);
@@ -22,7 +22,7 @@ fn every_example_is_sound_and_plays_in_virtual_time() {
 }
 
 #[test]
-fn the_examples_with_robots_of_other_makers_are_sound() {
+fn examples_with_third_party_robots_succeed() {
     for name in ["mujoco/greeting", "reachy-mini/nod", "together"] {
         let scenario = format!("examples/{name}.yaml");
         downbeat(&["check", &scenario]).says(0, &["no errors"]);
@@ -32,7 +32,7 @@ fn the_examples_with_robots_of_other_makers_are_sound() {
 }
 
 #[test]
-fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
+fn swap_has_432_steps_in_4250_ms_with_18_per_device() {
     let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
     assert_eq!(plan["duration_ms"], 4_250);
     let robots = plan["acts"][0]["robots"].as_object().unwrap();
@@ -65,7 +65,7 @@ fn flown(requests: &serde_json::Value) -> [Vec<f64>; 3] {
 }
 
 #[test]
-fn the_drones_of_the_swap_come_as_close_as_their_steps_say() {
+fn closest_approach_of_swap_matches_its_steps() {
     let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
     let act = &plan["acts"][0];
     let drones: Vec<_> = act["robots"].as_object().unwrap().values().map(flown).collect();
@@ -90,14 +90,14 @@ fn the_drones_of_the_swap_come_as_close_as_their_steps_say() {
 }
 
 #[test]
-fn at_another_speed_the_limits_of_bodies_are_checked_again() {
+fn changed_speed_rechecks_limits_of_bodies() {
     let swap = |speed| downbeat(&["dry-run", "scripts/examples/swap.yaml", "--speed", speed]);
     swap("1.2").says(0, &["done"]);
     swap("2").says(1, &["robot `cf2`: its body would reach", "m/s, but the limit is 1.5"]);
 }
 
 #[test]
-fn the_picture_of_a_dry_run_shows_every_device() {
+fn dry_run_picture_shows_every_device() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("swap.svg");
     downbeat(&["dry-run", "scripts/examples/swap.yaml", "--picture", path.to_str().unwrap()]).says(0, &[]);
@@ -118,7 +118,7 @@ fn dots(svg: &str) -> usize {
 }
 
 #[test]
-fn the_picture_of_a_lamp_shows_all_of_its_colours() {
+fn lamp_picture_shows_all_of_its_colours() {
     let folder = tempfile::tempdir().unwrap();
     let [scenario, picture] = ["lamp.yaml", "lamp.svg"].map(|name| folder.path().join(name));
     let blue = "scenario: lamp
@@ -143,7 +143,7 @@ cues:
 }
 
 #[test]
-fn the_demo_fleet_answers_ping_and_show() {
+fn demo_fleet_responds_to_ping_and_show() {
     let ping = downbeat(&["fleet", "ping", "--format", "json"]).json();
     assert_eq!(ping.as_array().unwrap().len(), 13);
     assert!(ping.as_array().unwrap().iter().all(|answer| answer["clock"]["samples"].as_u64() >= Some(8)));

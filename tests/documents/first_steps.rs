@@ -18,7 +18,7 @@ fn downbeat(folder: &Path, args: &[&str]) -> Ran {
 const TEMPLATES: [&str; 4] = ["arms", "drones", "stage", "edge"];
 
 #[test]
-fn the_settings_of_the_editor_name_schemas_that_the_files_keep_to() {
+fn files_from_init_match_schemas_named_in_editor_settings() {
     for template in TEMPLATES {
         let folder = TempDir::new().unwrap();
         downbeat(folder.path(), &["init", "--template", template]).says(0, &["downbeat run show.yaml"]);
@@ -39,7 +39,7 @@ fn the_settings_of_the_editor_name_schemas_that_the_files_keep_to() {
 }
 
 #[test]
-fn init_overwrites_nothing() {
+fn init_never_overwrites_files() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("show.yaml"), "mine").unwrap();
     let refused = downbeat(folder.path(), &["init"]);
@@ -53,7 +53,7 @@ fn init_overwrites_nothing() {
 }
 
 #[test]
-fn without_a_fleet_it_is_said_how_to_get_one() {
+fn missing_fleet_error_explains_how_to_create_one() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("show.yaml"), "scenario: show\ncues: [{cue: a}]\n").unwrap();
     let checked = downbeat(folder.path(), &["check", "show.yaml"]);
@@ -61,7 +61,7 @@ fn without_a_fleet_it_is_said_how_to_get_one() {
 }
 
 #[test]
-fn completions_and_man_pages_know_every_command() {
+fn completions_and_man_pages_cover_every_command() {
     let folder = TempDir::new().unwrap();
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         downbeat(folder.path(), &["completions", shell]).says(0, &["preflight", "conformance", "patience"]);

@@ -78,7 +78,7 @@ fn check_that_it_fills(command: &str, option: &str, columns: u16) {
 }
 
 #[test]
-fn help_fills_the_terminal_and_goes_no_further() {
+fn help_fills_terminal_width_without_exceeding_it() {
     let commands = commands();
     let left = std::sync::Mutex::new(commands.iter());
     let work = || {

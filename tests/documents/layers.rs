@@ -58,7 +58,7 @@ fn circles(mut imports: BTreeMap<String, BTreeSet<String>>) -> BTreeMap<String, 
 }
 
 #[test]
-fn no_module_imports_one_that_imports_it() {
+fn module_imports_have_no_cycles() {
     for source in [
         "protocol/src",
         "robot/realtime/src",
@@ -91,7 +91,7 @@ fn no_module_imports_one_that_imports_it() {
 }
 
 #[test]
-fn a_circle_through_three_modules_is_found() {
+fn cycle_through_three_modules_is_found() {
     let imports =
         [("a", "use crate::b::B;"), ("b", "x: crate::c::C"), ("c", "use crate::a;"), ("d", "use crate::a;")];
     let of = |(name, text): (&str, &str)| (name.to_owned(), imported(text));

@@ -109,7 +109,7 @@ fn promises(sentence: &str) -> bool {
 }
 
 #[test]
-fn each_sentence_is_in_its_document_and_once_in_the_table() {
+fn each_listed_sentence_is_in_its_document_and_listed_once() {
     let mut wrong = Vec::new();
     let mut seen = BTreeSet::new();
     let known: BTreeMap<_, _> = DOCUMENTS.map(|document| (document, sentences(&read(document)))).into();
@@ -153,7 +153,7 @@ fn faulty_sources() -> Vec<String> {
 }
 
 #[test]
-fn each_judge_and_each_planted_fault_exists() {
+fn every_listed_judge_and_planted_fault_exists() {
     let (faulty, mut sources) = (faulty_sources(), BTreeMap::new());
     let is_invariant =
         |letter: &str| Verdict::INVARIANTS.iter().any(|(known, _)| letter == known.to_string());
@@ -188,7 +188,7 @@ fn each_judge_and_each_planted_fault_exists() {
 }
 
 #[test]
-fn each_sentence_that_promises_something_is_in_the_table() {
+fn each_sentence_with_promise_is_listed_in_table() {
     let listed: BTreeSet<_> = rows().iter().map(|row| (row.document, row.sentence)).collect();
     let mut missing = Vec::new();
     for document in DOCUMENTS {
@@ -203,7 +203,7 @@ fn each_sentence_that_promises_something_is_in_the_table() {
 }
 
 #[test]
-fn the_document_states_the_figures() {
+fn document_states_current_promise_counts() {
     let rows = rows();
     let with = |of: fn(&Judge) -> bool| rows.iter().filter(|row| row.judges.iter().any(of)).count();
     let figures = [

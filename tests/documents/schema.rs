@@ -15,7 +15,7 @@ fn check_sound(validator: &jsonschema::Validator, name: &str, text: &str) {
 }
 
 #[test]
-fn every_example_and_every_documented_scenario_is_valid() {
+fn every_example_and_documented_scenario_is_valid() {
     let validator = validator("scenario");
     for entry in std::fs::read_dir(root().join("scripts/examples")).unwrap() {
         let path = entry.unwrap().path();
@@ -29,13 +29,13 @@ fn every_example_and_every_documented_scenario_is_valid() {
 }
 
 #[test]
-fn the_demo_fleet_is_valid() {
+fn demo_fleet_is_valid() {
     let text = std::fs::read_to_string(root().join("fleet.yaml")).unwrap();
     check_sound(&validator("fleet"), "fleet.yaml", &text);
 }
 
 #[test]
-fn wrong_scenarios_and_fleets_are_not() {
+fn invalid_scenarios_and_fleets_are_rejected() {
     let cue = |keys: &str| {
         format!("scenario: s\ncues: [{{robots: a, tracks: {{d: [{{at: 0s, to: 1}}]}}, {keys}}}]\n")
     };

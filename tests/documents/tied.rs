@@ -63,7 +63,7 @@ fn table(document: &str, section: &str, head: &str) -> BTreeMap<String, String> 
 }
 
 #[test]
-fn the_tables_of_the_protocol_list_the_keys_of_its_schema() {
+fn protocol_tables_list_keys_of_schema() {
     let (schema, document) = (schema("protocol"), read("docs/protocol.md"));
     let described: BTreeSet<&str> = TABLES.iter().map(|(_, _, definition, _)| *definition).collect();
     for (section, head, definition, apart) in TABLES {
@@ -93,7 +93,7 @@ fn the_tables_of_the_protocol_list_the_keys_of_its_schema() {
 }
 
 #[test]
-fn the_protocol_lists_every_code_of_an_error_and_every_word_of_a_key() {
+fn protocol_document_lists_every_error_code_and_enumerated_value() {
     let document = read("docs/protocol.md");
     let errors = document.split_once("### Errors").unwrap().1.split_once("\n## ").unwrap().0;
     let rows = errors.lines().filter(|line| line.starts_with("| `"));
@@ -139,7 +139,7 @@ fn message(name: &str) -> Value {
 }
 
 #[test]
-fn the_vectors_have_every_key_of_every_message() {
+fn vectors_cover_every_key_of_every_message() {
     let schema = schema("protocol");
     let mut found = BTreeSet::new();
     for entry in std::fs::read_dir(root().join("tests/vectors/valid")).unwrap() {
@@ -159,7 +159,7 @@ fn the_vectors_have_every_key_of_every_message() {
 }
 
 #[test]
-fn the_vectors_with_every_key_have_every_key() {
+fn full_vectors_contain_every_key() {
     let schema = schema("protocol");
     // `home` is valid only in an empty script.
     for (name, kind, definition, apart) in [
@@ -254,7 +254,7 @@ fn code(document: &str, heading: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_reference_names_every_key_and_word_of_scenarios_and_fleets_in_its_section() {
+fn reference_names_every_key_and_value_in_its_section() {
     for of in ["scenario", "fleet"] {
         let mut found = Vec::new();
         names("", &schema(of), &mut found);
@@ -270,7 +270,7 @@ fn the_reference_names_every_key_and_word_of_scenarios_and_fleets_in_its_section
 }
 
 #[test]
-fn the_dictionaries_of_the_fuzzer_have_every_key() {
+fn fuzzer_dictionaries_contain_every_key() {
     for (dictionary, of) in [("fuzz/urrcp.dict", "protocol"), ("fuzz/keys.dict", "scenario")] {
         let words: BTreeSet<String> =
             read(dictionary).split(|c: char| !c.is_alphanumeric() && c != '_').map(str::to_owned).collect();

@@ -55,7 +55,7 @@ fn written(message: &Message) -> String {
 }
 
 #[test]
-fn every_file_is_listed_once() {
+fn every_vector_file_is_listed_once() {
     let mut listed: Vec<String> = vectors().into_iter().map(|vector| vector.file).collect();
     let mut found = vec!["robot.json".to_owned()];
     for folder in ["valid", "invalid", "requests"] {
@@ -69,7 +69,7 @@ fn every_file_is_listed_once() {
 }
 
 #[test]
-fn valid_messages_are_read_and_written_again() {
+fn valid_messages_are_read_and_written_as_listed() {
     for vector in vectors().into_iter().filter(|vector| vector.verdict == "valid") {
         let text = written(&vector.message());
         let expected = match &vector.written {
@@ -81,7 +81,7 @@ fn valid_messages_are_read_and_written_again() {
 }
 
 #[test]
-fn valid_messages_are_the_same_in_the_compact_encoding() {
+fn valid_messages_round_trip_through_compact_encoding() {
     for vector in vectors().into_iter().filter(|vector| vector.code.is_none()) {
         let message = vector.message();
         let mut frame = Vec::new();
@@ -92,7 +92,7 @@ fn valid_messages_are_the_same_in_the_compact_encoding() {
 }
 
 #[test]
-fn invalid_lines_are_refused_and_say_whom_an_answer_concerns() {
+fn invalid_lines_are_refused_with_affected_device_and_request() {
     let mut wrong = Vec::new();
     for vector in vectors().into_iter().filter(|vector| vector.verdict == "invalid") {
         let (file, why) = (&vector.file, &vector.why);
@@ -112,7 +112,7 @@ fn invalid_lines_are_refused_and_say_whom_an_answer_concerns() {
 }
 
 #[test]
-fn the_schema_agrees() {
+fn schema_verdicts_match_listed_verdicts() {
     let validator = validator("protocol");
     let mut wrong = Vec::new();
     for vector in vectors() {
@@ -130,7 +130,7 @@ fn the_schema_agrees() {
 }
 
 #[test]
-fn the_robot_answers_the_requests_as_listed() {
+fn robot_responds_to_requests_as_listed() {
     let robot = vectors().into_iter().find(|vector| vector.file == "robot.json").unwrap();
     let Message::InitializationBlock(block) = robot.message() else { panic!("robot.json is no block") };
     let now: Timestamp<urrcp::Robot> = serde_json::from_str("\"2026-11-20T19:00:00.001Z\"").unwrap();

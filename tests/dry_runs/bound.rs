@@ -3,7 +3,7 @@
 use stage::session::Session;
 
 #[test]
-fn a_dry_run_that_ends_because_of_its_bound_says_so() {
+fn dry_run_reports_that_it_reached_its_act_limit() {
     let session = Session::new();
     let act = |name: &str, more: &str| {
         format!(

@@ -10,7 +10,7 @@ fn dry_run(args: &[&str]) -> Ran {
 }
 
 #[test]
-fn a_good_mission_is_reported_in_five_lines_at_most() {
+fn successful_mission_is_reported_in_at_most_five_lines() {
     let ran = dry_run(&[]);
     ran.says(
         0,
@@ -26,7 +26,7 @@ fn a_good_mission_is_reported_in_five_lines_at_most() {
 }
 
 #[test]
-fn figures_of_each_robot_are_printed_with_verbose() {
+fn verbose_prints_figures_per_robot() {
     for option in ["--verbose", "-v"] {
         let ran = dry_run(&[option]);
         ran.says(0, &["swap: done\n", "clock offset", "start spread ", "planned start "]);
@@ -37,7 +37,7 @@ fn figures_of_each_robot_are_printed_with_verbose() {
 }
 
 #[test]
-fn only_robots_that_deviate_from_the_plan_have_a_row() {
+fn only_robots_deviating_from_plan_have_row() {
     let session = Session::new();
     session.file(
         "arm.yaml",

@@ -39,7 +39,7 @@ fn replace(session: &Session, file: &str, from: &str, to: &str) {
 const REQUIRED: [&str; 4] = ["run", "show.yaml", "--require-certificate", "show.cert.json"];
 
 #[test]
-fn what_was_certified_is_played_and_certified_again_gives_the_same_bytes() {
+fn certified_show_plays_and_recertification_gives_same_bytes() {
     let session = certified();
     let first = fs::read(session.path("show.cert.json")).unwrap();
     session.run(&["preflight", "show.yaml", "--require-certificate", "show.cert.json"]).says(0, &[]);
@@ -49,7 +49,7 @@ fn what_was_certified_is_played_and_certified_again_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_certificate_lists_every_fault_and_what_became_of_it() {
+fn certificate_lists_every_fault_with_its_outcome() {
     let session = certified();
     let text = fs::read_to_string(session.path("show.cert.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
@@ -88,14 +88,14 @@ fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
 }
 
 #[test]
-fn one_step_more_or_elsewhere_is_refused() {
+fn changed_step_value_or_time_is_refused() {
     let says = ["act `two`: the scripts of `left/shoulder` differ from the certified ones"];
     refused("show.yaml", "{at: 200ms, to: 0}", "{at: 200ms, to: 0.5}", &says);
     refused("show.yaml", "{at: 200ms, to: 0}", "{at: 201ms, to: 0}", &says);
 }
 
 #[test]
-fn a_limit_a_description_and_a_body_are_named_with_their_robot() {
+fn changed_limit_description_or_body_is_reported_with_its_robot() {
     let right = "right: {init: arm.yaml, address: sim";
     refused(
         "fleet.yaml",
@@ -124,7 +124,7 @@ fn a_limit_a_description_and_a_body_are_named_with_their_robot() {
 }
 
 #[test]
-fn the_ways_between_acts_their_order_and_their_policies_are_named() {
+fn changed_transitions_order_and_policies_of_acts_are_reported() {
     refused(
         "show.yaml",
         "next: end",
@@ -145,7 +145,7 @@ fn the_ways_between_acts_their_order_and_their_policies_are_named() {
 }
 
 #[test]
-fn other_options_are_named_and_not_every_script_that_they_change() {
+fn different_options_are_named_instead_of_every_changed_script() {
     let session = certified();
     let ran = session.run(&[&REQUIRED[..], &["--speed", "0.5"]].concat());
     ran.says(1, &["--speed: 0.5, but certified with 1"]);
@@ -161,7 +161,7 @@ fn other_options_are_named_and_not_every_script_that_they_change() {
 }
 
 #[test]
-fn what_changes_nothing_that_is_played_needs_no_new_certificate() {
+fn change_without_effect_on_played_steps_needs_no_new_certificate() {
     let session = certified();
     replace(&session, "show.yaml", "{robots: left,", "{cue: back, robots: left,");
     replace(
@@ -174,7 +174,7 @@ fn what_changes_nothing_that_is_played_needs_no_new_certificate() {
 }
 
 #[test]
-fn a_file_that_is_no_whole_certificate_is_refused_with_exit_code_2() {
+fn incomplete_or_altered_certificate_is_refused_with_exit_code_2() {
     let session = certified();
     let whole = fs::read_to_string(session.path("show.cert.json")).unwrap();
     session.file("show.cert.json", &whole[..whole.len() / 2]);
@@ -188,7 +188,7 @@ fn a_file_that_is_no_whole_certificate_is_refused_with_exit_code_2() {
 }
 
 #[test]
-fn a_promise_that_does_not_hold_is_named_and_nothing_is_written() {
+fn failed_guarantee_is_named_and_no_certificate_is_written() {
     let session = session();
     replace(
         &session,
@@ -208,7 +208,7 @@ fn a_promise_that_does_not_hold_is_named_and_nothing_is_written() {
 }
 
 #[test]
-fn a_robot_that_may_be_left_out_is_and_the_others_play() {
+fn failed_optional_robot_is_left_out_and_others_play() {
     let session = session();
     replace(
         &session,
@@ -226,7 +226,7 @@ fn a_robot_that_may_be_left_out_is_and_the_others_play() {
 }
 
 #[test]
-fn the_certificate_does_not_replace_what_it_is_made_from() {
+fn certificate_never_overwrites_its_source() {
     let session = session();
     session
         .run(&["dry-run", "show.yaml", "--certify", "show.yaml"])
@@ -235,7 +235,7 @@ fn the_certificate_does_not_replace_what_it_is_made_from() {
 }
 
 #[test]
-fn what_a_certificate_does_not_cover_is_not_taken_with_it() {
+fn certificate_refuses_options_it_does_not_cover() {
     let session = session();
     for more in [["--acts", "2"], ["--world", "world.yaml"], ["--trials", "10"], ["--html", "show.html"]] {
         session

@@ -44,7 +44,7 @@ fn differ(change: &[(&str, &str)]) -> (Ran, Value) {
 }
 
 #[test]
-fn plans_are_the_same_if_they_compile_to_the_same() {
+fn plans_with_same_compiled_result_are_equal() {
     let session = two(&[
         ("{at: 1s, to: 40}", "{at: 1000ms, to: 40.0}"),
         ("scenario: show\n", "scenario: show # text\n"),
@@ -56,7 +56,7 @@ fn plans_are_the_same_if_they_compile_to_the_same() {
 }
 
 #[test]
-fn the_order_of_robots_in_the_fleet_file_is_no_difference() {
+fn order_of_robots_in_fleet_file_is_ignored() {
     let session = two(&[]);
     session.file(
         "other.yaml",
@@ -66,7 +66,7 @@ fn the_order_of_robots_in_the_fleet_file_is_no_difference() {
 }
 
 #[test]
-fn a_changed_keyframe_is_told_with_its_time_and_both_values() {
+fn changed_keyframe_is_reported_with_time_and_both_values() {
     let (text, json) =
         differ(&[("{at: 1s, to: 40}", "{at: 1s, to: 50}"), ("{at: 0s, to: 40}", "{at: 0s, to: 50}")]);
     let acts = json["acts"].as_array().unwrap();
@@ -86,7 +86,7 @@ fn a_changed_keyframe_is_told_with_its_time_and_both_values() {
 }
 
 #[test]
-fn a_cue_that_is_later_takes_its_steps_along() {
+fn delayed_cue_shifts_its_steps() {
     let (text, json) = differ(&[("up, at: 0s", "up, at: 500ms")]);
     let act = &json["acts"][0];
     let changes: Vec<_> =
@@ -99,7 +99,7 @@ fn a_cue_that_is_later_takes_its_steps_along() {
 }
 
 #[test]
-fn acts_and_robots_that_come_and_go_are_named() {
+fn added_and_removed_acts_and_robots_are_named() {
     let (text, json) = differ(&[("act: fall", "act: drop"), ("robots: arms", "robots: right")]);
     let presence = |name: &str| {
         let act = json["acts"].as_array().unwrap().iter().find(|act| act["act"] == name).unwrap();
@@ -114,7 +114,7 @@ fn acts_and_robots_that_come_and_go_are_named() {
 }
 
 #[test]
-fn acts_in_another_order_are_moved() {
+fn reordered_acts_are_reported_as_moved() {
     let session = two(&[]);
     let (head, acts) = SHOW.split_once("acts:\n").unwrap();
     let at = acts.find("  - act: fall").unwrap();
@@ -126,7 +126,7 @@ fn acts_in_another_order_are_moved() {
 }
 
 #[test]
-fn settings_of_an_act_are_compared() {
+fn act_settings_are_compared() {
     let (text, json) = differ(&[("timeout: 5s, otherwise: end", "timeout: 6s, otherwise: rise")]);
     let settings = json["acts"][0]["settings"].as_array().unwrap();
     let names: Vec<_> = settings.iter().map(|setting| setting["setting"].as_str().unwrap()).collect();
@@ -135,7 +135,7 @@ fn settings_of_an_act_are_compared() {
 }
 
 #[test]
-fn the_closest_approach_is_better_or_worse() {
+fn changed_closest_approach_is_reported_as_better_or_worse() {
     let session = Session::new();
     let swap = root().join("scripts/examples/swap.yaml");
     let fleet = root().join("fleet.yaml");
@@ -155,7 +155,7 @@ fn the_closest_approach_is_better_or_worse() {
 }
 
 #[test]
-fn what_cannot_be_compared_ends_with_2() {
+fn incomparable_inputs_end_with_exit_code_2() {
     let session = two(&[]);
     session.file("broken.yaml", SHOW.replace("to: 40", "to: 4000"));
     session.run(&["diff", "a.yaml", "broken.yaml"]).says(2, &["DB0011"]);
@@ -174,7 +174,7 @@ fn what_cannot_be_compared_ends_with_2() {
 }
 
 #[test]
-fn names_from_outside_drive_no_terminal() {
+fn names_cannot_inject_terminal_escape_sequences() {
     let name = r#""\u001b[31m\"]; <b>\n2""#;
     let session = two(&[("cue: up", &format!("cue: {name}")), ("after: up", &format!("after: {name}"))]);
     let ran = session.run(&["diff", "a.yaml", "b.yaml"]);
@@ -183,7 +183,7 @@ fn names_from_outside_drive_no_terminal() {
 }
 
 #[test]
-fn two_missions_are_compared_by_what_became_of_them() {
+fn missions_are_compared_by_their_results() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     for name in ["one.mcap", "two.mcap"] {
         // Late steps are reported as a difference at any tolerance.
@@ -210,7 +210,7 @@ fn two_missions_are_compared_by_what_became_of_them() {
 }
 
 #[test]
-fn a_graph_has_every_cue_and_every_way() {
+fn graph_contains_every_cue_and_transition() {
     let session = two(&[]);
     let json = session.run(&["graph", "a.yaml", "--format", "json"]).json();
     let cues: Vec<_> =
@@ -228,7 +228,7 @@ fn a_graph_has_every_cue_and_every_way() {
 }
 
 #[test]
-fn a_graph_of_one_act_has_no_course() {
+fn graph_of_one_act_has_no_transitions() {
     let session = two(&[]);
     let ran = session.run(&["graph", "a.yaml", "--act", "fall"]);
     ran.says(0, &["cluster_a1"]);
@@ -237,7 +237,7 @@ fn a_graph_of_one_act_has_no_course() {
 }
 
 #[test]
-fn the_page_of_two_missions_has_what_the_first_was_sent_behind_the_second() {
+fn page_of_two_missions_shows_steps_of_first_behind_second() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     let play = std::fs::read_to_string(stage.path("play.yaml")).unwrap();
     let changed = play.replace("to: 4}", "to: 9}");
@@ -271,7 +271,7 @@ fn the_page_of_two_missions_has_what_the_first_was_sent_behind_the_second() {
 }
 
 #[test]
-fn the_page_has_the_first_plan_behind_the_second() {
+fn page_shows_first_plan_behind_second() {
     let session = two(&[("up, at: 0s", "up, at: 500ms")]);
     let ran = session.run(&["diff", "a.yaml", "b.yaml", "--html", "page.html"]);
     assert_eq!(ran.code(), 1, "{}", ran.text());

@@ -71,7 +71,7 @@ fn spread(report: &Value) -> f64 {
 }
 
 #[test]
-fn robots_whose_clocks_are_measured_stay_together_for_ten_minutes() {
+fn robots_with_measured_clocks_stay_in_sync_for_ten_minutes() {
     for rail in [
         RAIL,
         Rail { inquiry: false, ..RAIL },
@@ -95,7 +95,7 @@ fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
 }
 
 #[test]
-fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
+fn mission_with_clock_drift_beyond_tolerance_is_not_reported_done() {
     // The device holds one script, so drift cannot be corrected.
     let played = played(&cue("one, two", NODS), &Rail { queue: 1, steps: 5_000, ..RAIL });
     let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
@@ -104,7 +104,7 @@ fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
 }
 
 #[test]
-fn robots_stay_together_for_ten_minutes_in_movements_without_a_rest() {
+fn robots_stay_in_sync_for_ten_minutes_without_rests() {
     for movement in [SLIDES, RIDE] {
         let (code, report) = played(&cue("one, two", movement), &RAIL);
         assert_eq!((code, &report["outcome"]), (0, &"done".into()), "{movement:?}");
@@ -113,7 +113,7 @@ fn robots_stay_together_for_ten_minutes_in_movements_without_a_rest() {
 }
 
 #[test]
-fn a_small_tolerance_shortens_the_scripts_of_robots_whose_clocks_are_measured() {
+fn small_tolerance_shortens_scripts_for_robots_with_measured_clocks() {
     let session = fleet(&RAIL);
     let scripts = |tolerance: &str| {
         session.file(
@@ -127,7 +127,7 @@ fn a_small_tolerance_shortens_the_scripts_of_robots_whose_clocks_are_measured() 
 }
 
 #[test]
-fn a_robot_whose_part_is_over_is_judged_by_its_clock_at_that_time() {
+fn finished_robot_is_judged_by_its_clock_at_its_end() {
     let (_, every, nod) = NODS;
     let cues = cue("one", (5, every, nod)) + &cue("two", NODS);
     let (code, report) = played(&cues, &RAIL);

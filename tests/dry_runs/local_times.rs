@@ -3,7 +3,7 @@
 use stage::session::{Ran, Session};
 
 #[test]
-fn acts_start_at_the_local_times_for_which_they_wait_with_the_date_on_another_day() {
+fn acts_start_at_awaited_local_times_and_show_date_on_another_day() {
     let session = Session::new();
     let act = |name: &str, time: &str| {
         format!(

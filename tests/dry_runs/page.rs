@@ -88,7 +88,7 @@ fn in_folder(name: &str) -> (tempfile::TempDir, String) {
 const SWAP: &str = "scripts/examples/swap.yaml";
 
 #[test]
-fn the_page_of_a_dry_run_has_the_report_the_steps_and_the_cues_of_the_command_line() {
+fn dry_run_page_matches_report_steps_and_cues_of_command_line() {
     let (_folder, path) = in_folder("swap.html");
     let report = downbeat(&["dry-run", SWAP, "--format", "json", "--html", &path]).json();
     let planned = downbeat(&["plan", SWAP, "--format", "json"]).json();
@@ -115,7 +115,7 @@ fn the_page_of_a_dry_run_has_the_report_the_steps_and_the_cues_of_the_command_li
 }
 
 #[test]
-fn an_act_that_is_played_alone_has_its_own_lines() {
+fn act_played_alone_has_its_own_source_lines() {
     let (_folder, path) = in_folder("bow.html");
     let meeting = "scripts/examples/meeting.yaml";
     downbeat(&["dry-run", meeting, "--act", "bow", "--html", &path]).says(0, &[]);
@@ -131,7 +131,7 @@ fn an_act_that_is_played_alone_has_its_own_lines() {
 }
 
 #[test]
-fn a_body_that_is_driven_by_speed_moves_on_the_page() {
+fn speed_controlled_body_moves_on_page() {
     let (_folder, path) = in_folder("meeting.html");
     downbeat(&["dry-run", "scripts/examples/meeting.yaml", "--html", &path]).says(0, &[]);
     let page = Page::read(Path::new(&path));
@@ -148,7 +148,7 @@ fn a_body_that_is_driven_by_speed_moves_on_the_page() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_page() {
+fn same_seed_produces_same_page() {
     let (folder, _) = in_folder("");
     let page = |name: &str, seed: &str| {
         let path = folder.path().join(name);
@@ -160,7 +160,7 @@ fn the_same_seed_gives_the_same_page() {
 }
 
 #[test]
-fn a_name_cannot_escape_into_the_page() {
+fn name_cannot_inject_markup_into_page() {
     let session = Session::new();
     let evil = "</script><script>alert(1)</script> \u{202e}";
     session.file("robot.yaml", "id: r\napi_version: \"1\"\ndevices:\n  - id: x\n    available_control_types:\n      position: {min_value: 0, max_value: 9, granularity: 1, max_error: 1}\n      script: {min_value: 0, max_value: 9, granularity: 1, max_error: 1, max_number_of_steps: 9, control_types: [position]}\n");
@@ -174,7 +174,7 @@ fn a_name_cannot_escape_into_the_page() {
 }
 
 #[test]
-fn a_page_that_cannot_be_written_is_told_and_nothing_half_written_is_left() {
+fn failed_page_write_is_reported_and_leaves_no_partial_file() {
     let (folder, path) = in_folder("show.html");
     fs::write(&path, "before").unwrap();
     let within = folder.path().join("no/such/folder/show.html");
@@ -187,7 +187,7 @@ fn a_page_that_cannot_be_written_is_told_and_nothing_half_written_is_left() {
 }
 
 #[test]
-fn a_page_never_replaces_what_it_is_made_from_and_a_link_leads_to_the_file_that_is_written() {
+fn page_never_overwrites_its_source_and_writes_through_links() {
     let (folder, path) = in_folder("target.html");
     fs::write(&path, "before").unwrap();
     let link = folder.path().join("link.html");
@@ -205,7 +205,7 @@ fn a_page_never_replaces_what_it_is_made_from_and_a_link_leads_to_the_file_that_
 const SHOW: &str = "scenario: show\ncues:\n  - cue: rise\n    robots: arms\n    tracks: {shoulder: [{at: 0s, to: 0}, {at: 1s, to: 45}]}\n";
 
 #[test]
-fn an_act_that_nobody_began_is_not_shown_as_played() {
+fn withdrawn_act_is_not_shown_as_played() {
     let session = Session::new();
     let fleet = "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim, simulate: {fault: refuse}}\ngroups: {arms: [left, right]}\n";
     session.file("fleet.yaml", fleet).file("show.yaml", SHOW);
@@ -239,7 +239,7 @@ fn journal(session: &Session) -> PathBuf {
 }
 
 #[test]
-fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
+fn recorded_mission_is_shown_with_its_steps_and_starts() {
     let session = recorded();
     let report = session.run(&["report", "swap.mcap", "--html", "swap.html", "--format", "json"]).json();
     assert_eq!(report["outcome"], "done");
@@ -281,7 +281,7 @@ fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
 }
 
 #[test]
-fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_for() {
+fn incomplete_recording_or_journal_is_refused_without_partial_option() {
     let session = recorded();
     let whole = fs::read(session.path("swap.mcap")).unwrap();
     session.file("cut.mcap", &whole[..whole.len() * 2 / 3]);
@@ -323,7 +323,7 @@ incidents:
 ";
 
 #[test]
-fn the_page_of_trials_says_what_the_command_line_says() {
+fn trials_page_matches_command_line() {
     let (folder, path) = in_folder("trials.html");
     let world = folder.path().join("it's friday.yaml").display().to_string();
     fs::write(&world, WORLD).unwrap();
@@ -365,7 +365,7 @@ fn the_page_of_trials_says_what_the_command_line_says() {
 }
 
 #[test]
-fn a_page_of_trials_never_replaces_their_world() {
+fn trials_page_never_overwrites_its_world() {
     let (_folder, path) = in_folder("world.yaml");
     fs::write(&path, WORLD).unwrap();
     for count in [["--trials", "2"], ["--trial", "1"]] {

@@ -108,7 +108,7 @@ fn number(node: Node<'_, '_>, name: &str) -> f64 {
 }
 
 #[test]
-fn a_show_of_five_minutes_on_ten_robots_is_readable() {
+fn picture_of_five_minute_show_with_ten_robots_is_readable() {
     let session = show();
     session.run(&["dry-run", "show.yaml", "--picture", "show.svg"]).says(0, &["done"]);
     let svg = std::fs::read_to_string(session.path("show.svg")).unwrap();

@@ -32,7 +32,7 @@ fn results(ran: &Ran) -> Vec<(String, String)> {
 }
 
 #[test]
-fn a_dry_run_says_of_each_requirement_whether_it_is_met_or_why_that_is_not_known() {
+fn dry_run_reports_each_requirement_as_met_or_unknown_with_reason() {
     let session = session(
         "{spread_p99: below 5ms, spread_max: at most 5ms, finishes: at least 99 %, closest: above 1.7m}",
     );
@@ -60,13 +60,13 @@ fn a_dry_run_says_of_each_requirement_whether_it_is_met_or_why_that_is_not_known
 }
 
 #[test]
-fn a_spread_that_is_too_large_fails_the_dry_run_that_is_done() {
+fn too_large_spread_fails_completed_dry_run() {
     let session = session("{spread_max: below 500us}");
     session.run(&["dry-run", "show.yaml"]).says(1, &["show: done", "NOT MET", "below 0.5 ms", "1 of 1"]);
 }
 
 #[test]
-fn a_distance_that_is_not_kept_fails_check_plan_and_dry_run_but_not_the_mission() {
+fn unmet_distance_fails_check_plan_and_dry_run_but_not_mission() {
     let session = session("{spread_p50: below 9ms, closest: above 1.9m}");
     let ran = session.run(&["check", "show.yaml"]);
     ran.says(1, &["DB0056", "show.yaml:2:43", "within 1.755 m", "NOT MET", "1 of 1 requirements NOT met"]);
@@ -78,7 +78,7 @@ fn a_distance_that_is_not_kept_fails_check_plan_and_dry_run_but_not_the_mission(
 }
 
 #[test]
-fn a_distance_is_not_known_where_a_body_may_be_anywhere_or_is_left_out() {
+fn distance_is_unknown_if_body_position_is_unknown_or_body_is_omitted() {
     let session = session("{closest: above 1.7m}");
     let only = session.run(&["dry-run", "show.yaml", "--only", "left", "--format", "json"]);
     assert_eq!((only.code(), results(&only)), (0, vec![("closest".to_owned(), "not_known".to_owned())]));
@@ -90,7 +90,7 @@ fn a_distance_is_not_known_where_a_body_may_be_anywhere_or_is_left_out() {
 }
 
 #[test]
-fn what_is_not_required_is_not_shown() {
+fn absent_requirements_are_not_shown() {
     let session = session("{}");
     let ran = session.run(&["dry-run", "show.yaml", "--format", "json"]);
     assert_eq!(ran.json().get("requirements"), None);

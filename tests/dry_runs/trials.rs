@@ -30,7 +30,7 @@ const TRIALS: [&str; 7] =
     ["dry-run", "show.yaml", "--world", "world.yaml", "--trials", "100", "--format=json"];
 
 #[test]
-fn trials_say_how_likely_the_mission_starts_and_what_keeps_it_from_that() {
+fn trials_report_start_probability_and_reasons_for_failure() {
     let session = session("");
     let ran = session.run(&TRIALS[..6]);
     ran.says(0, &["100 trials in the world `friday`, seed 0: show", "start", "busy", "weakest robot: left"]);
@@ -43,7 +43,7 @@ fn trials_say_how_likely_the_mission_starts_and_what_keeps_it_from_that() {
 }
 
 #[test]
-fn the_same_seed_prints_the_same_bytes_and_another_one_others() {
+fn same_seed_prints_same_output_and_different_seed_differs() {
     let session = session("");
     let printed = |seed: &str| session.run(&[&TRIALS[..], &["--seed", seed]].concat()).out();
     assert_eq!(printed("7"), printed("7"));
@@ -51,7 +51,7 @@ fn the_same_seed_prints_the_same_bytes_and_another_one_others() {
 }
 
 #[test]
-fn a_trial_that_failed_is_played_again_alone_with_a_page() {
+fn failed_trial_can_be_replayed_alone_with_page() {
     let session = session("");
     let results = session.run(&TRIALS).json();
     let of = |outcome: &str| {
@@ -82,7 +82,7 @@ fn a_trial_that_failed_is_played_again_alone_with_a_page() {
 }
 
 #[test]
-fn what_is_required_of_trials_decides_the_exit_code() {
+fn trial_requirements_determine_exit_code() {
     let strict = session("require: {finishes: above 99%, spread_p99: below 5ms}\n");
     strict.run(&TRIALS[..6]).says(1, &["finishes", "NOT MET", "1 of 2 requirements NOT met"]);
     let mild = session("require: {finishes: above 50%, spread_p99: below 5ms}\n");
@@ -90,14 +90,14 @@ fn what_is_required_of_trials_decides_the_exit_code() {
 }
 
 #[test]
-fn without_a_world_trials_meet_what_the_fleet_file_says() {
+fn trials_without_world_use_conditions_of_fleet_file() {
     let session = session("");
     let ran = session.run(&["dry-run", "show.yaml", "--trials", "20"]);
     ran.says(0, &["20 trials in the world of the fleet file", "100 %"]);
 }
 
 #[test]
-fn mistakes_in_a_world_are_findings_with_their_place() {
+fn mistakes_in_world_are_reported_with_their_position() {
     let session = session("");
     session.file(
         "world.yaml",
@@ -124,7 +124,7 @@ fn mistakes_in_a_world_are_findings_with_their_place() {
 }
 
 #[test]
-fn files_that_are_no_worlds_are_refused_in_a_sentence() {
+fn invalid_world_files_are_refused_with_message() {
     let session = session("");
     for (content, says) in [
         (b"\xff\xfe\x00binary".as_slice(), "UTF-8"),

@@ -11,7 +11,7 @@ fn rows(text: &str) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn a_drone_show_goes_out_as_csv_and_comes_back_the_same() {
+fn drone_show_survives_csv_export_and_import() {
     let session = Session::new();
     session.run(&["import", "skybrush", &fixture("two_drones.skyc"), "--output", "show"]).says(0, &[]);
     let args = ["export", "drone-csv", "show/scenario.yaml", "--fleet", "show/fleet.yaml", "--output", "csv"];
@@ -44,7 +44,7 @@ fn a_drone_show_goes_out_as_csv_and_comes_back_the_same() {
 }
 
 #[test]
-fn joints_go_out_as_a_trajectory_and_come_back_the_same() {
+fn joints_survive_trajectory_export_and_import() {
     let session = Session::new();
     session.file("move.yaml", "scenario: move\ncues:\n  - robots: left\n    tracks: {shoulder: [{at: 0s, to: 0}, {at: 1500ms, to: 45.5}, {at: 2s, to: 30}]}\n");
     session

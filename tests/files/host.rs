@@ -65,7 +65,7 @@ fn missions(state: &Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
-fn without_a_home_no_folder_that_others_share_is_taken() {
+fn shared_folder_is_not_used_if_home_is_unset() {
     let session = session();
     let without = |args: &[&str]| {
         let mut command = session.command(args);
@@ -88,7 +88,7 @@ fn without_a_home_no_folder_that_others_share_is_taken() {
 }
 
 #[test]
-fn what_a_mission_leaves_is_for_its_user_alone() {
+fn mission_files_are_accessible_only_to_their_user() {
     let session = session();
     session.file(
         "wait.yaml",
@@ -109,7 +109,7 @@ fn what_a_mission_leaves_is_for_its_user_alone() {
 }
 
 #[test]
-fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
+fn state_folder_owned_or_writable_by_others_is_refused() {
     let session = session();
     session.play(&["run", "show.yaml"]).says(0, &["show: done"]);
     let state = session.path("state");
@@ -138,7 +138,7 @@ fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
 }
 
 #[test]
-fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
+fn planted_mission_folder_is_reported_and_ignored() {
     let session = session();
     session.play(&["run", "show.yaml"]).says(0, &["show: done"]);
     let state = session.path("state");
@@ -175,7 +175,7 @@ groups: {arms: [left, right]}
 }
 
 #[test]
-fn a_command_that_only_looks_starts_no_program_unless_it_is_told_to() {
+fn read_only_command_starts_no_program_without_explicit_option() {
     let session = programmed();
     let started = session.path("started");
     let told = "its program is not started without --start-programs";
@@ -233,7 +233,7 @@ fn refused(session: &Session, place: &str) {
 }
 
 #[test]
-fn no_file_outside_the_project_is_read_because_another_file_names_it() {
+fn files_outside_project_are_not_read_when_named_by_other_files() {
     let named = |file: &str| {
         let samples = format!("{{samples: {{file: {file}, time: 1, value: 2}}}}");
         [
@@ -266,7 +266,7 @@ fn no_file_outside_the_project_is_read_because_another_file_names_it() {
 }
 
 #[test]
-fn the_operator_says_how_wide_a_project_is() {
+fn operator_can_widen_project_with_option() {
     let session = outside(&FLEET.replace("arm.yaml", "../arm.yaml"), SHOW);
     let check = |args: &[&str]| {
         let mut command = session.command(args);
@@ -286,7 +286,7 @@ fn the_operator_says_how_wide_a_project_is() {
 }
 
 #[test]
-fn a_pipe_or_a_device_in_place_of_a_file_is_refused_at_once() {
+fn pipe_or_device_instead_of_file_is_refused_immediately() {
     for file in ["show.yaml", "fleet.yaml", "arm.yaml", "parts.yaml"] {
         let session = session();
         session.file("show.yaml", format!("include: parts.yaml\n{SHOW}")).file("parts.yaml", "moves: {}\n");
@@ -314,7 +314,7 @@ fn a_pipe_or_a_device_in_place_of_a_file_is_refused_at_once() {
 }
 
 #[test]
-fn a_scenario_is_read_from_a_pipe_of_the_shell() {
+fn scenario_can_be_read_from_shell_pipe() {
     let (session, program) = (session(), program());
     let mut shell = Command::new("bash");
     shell.arg("-c").arg(format!(

@@ -36,7 +36,7 @@ fn check_round_trip(args: &[&str], figures: &str) {
 }
 
 #[test]
-fn polynomial_pieces_become_a_scenario_that_passes() {
+fn polynomial_pieces_import_as_valid_scenario() {
     let swap = fixture("swap");
     check_round_trip(&["crazyswarm", &swap], "no errors, 2 robots, 8 devices, ");
     check_round_trip(&["crazyswarm", &swap, "--rate", "50"], "1712 steps, 4.25 s");
@@ -61,7 +61,7 @@ fn numbers(line: &str, separators: &[char]) -> Vec<f64> {
 }
 
 #[test]
-fn a_curve_arrives_with_the_coefficients_of_its_file() {
+fn imported_curve_keeps_coefficients_of_its_file() {
     let file = fixture("swap/pp1.csv");
     let text = std::fs::read_to_string(&file).unwrap();
     let written = import(&Session::new(), &["crazyswarm", &file]).out();
@@ -82,7 +82,7 @@ fn a_curve_arrives_with_the_coefficients_of_its_file() {
 }
 
 #[test]
-fn the_steps_of_a_curve_stay_within_its_tolerance() {
+fn curve_steps_stay_within_tolerance() {
     let session = Session::new();
     import(&session, &["crazyswarm", &fixture("swap"), "--output", "out"]).says(0, &[]);
     let plan = session.run(&["plan", "out/scenario.yaml", "--format", "json"]);
@@ -105,7 +105,7 @@ fn largest(node: &serde_json::Value, key: &str) -> f64 {
 }
 
 #[test]
-fn the_unit_of_times_is_read_or_asked_for() {
+fn time_unit_is_read_from_header_or_requested() {
     let session = Session::new();
     let millis = ["Time [msec]", "time (ms)", "t_ms", "t/ms", "timeMs", "milliseconds"];
     for header in millis {
@@ -124,7 +124,7 @@ fn the_unit_of_times_is_read_or_asked_for() {
 }
 
 #[test]
-fn a_drone_show_becomes_a_scenario_that_passes() {
+fn imported_drone_show_passes_check() {
     let show = fixture("two_drones.skyc");
     check_round_trip(&["skybrush", &show], "no errors, 2 robots, 9 devices, ");
     import(&Session::new(), &["skybrush", &fixture("cheering.json")])
@@ -132,7 +132,7 @@ fn a_drone_show_becomes_a_scenario_that_passes() {
 }
 
 #[test]
-fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
+fn motions_and_lights_from_other_tools_import_as_valid_scenarios() {
     check_round_trip(
         &["webots", &fixture("hand_high.motion")],
         "no errors, 1 robot, 3 devices, 18 steps, 6 s",
@@ -150,7 +150,7 @@ fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
 }
 
 #[test]
-fn a_description_becomes_a_robot_that_a_scenario_can_use() {
+fn imported_urdf_becomes_robot_usable_in_scenario() {
     let session = Session::new();
     let urdf = fixture("06-flexible.urdf");
     import(&session, &["urdf", &urdf])
@@ -167,7 +167,7 @@ fn a_description_becomes_a_robot_that_a_scenario_can_use() {
 }
 
 #[test]
-fn clock_times_are_read_where_only_one_reading_fits() {
+fn clock_times_are_accepted_only_if_unambiguous() {
     let session = Session::new();
     let args = ["csv", "log.csv", "--time", "t", "--map", "arm/a=a"];
     session.file("log.csv", "t,a\n00:00:000,1\n01:02:345,2\n");
@@ -182,7 +182,7 @@ fn clock_times_are_read_where_only_one_reading_fits() {
 }
 
 #[test]
-fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
+fn each_csv_of_drone_show_becomes_robot_with_lamp() {
     let session = Session::new();
     std::fs::create_dir(session.path("show")).unwrap();
     for drone in [1, 2, 10] {
@@ -213,7 +213,7 @@ fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
 }
 
 #[test]
-fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
+fn columns_are_mapped_by_pattern_and_ignored_columns_are_reported() {
     let session = Session::new();
     session.file("log.csv", "t [s],channel 1,channel 2,note\n0,1,350,5\n1,2,10,6\n");
     let args = ["csv", "log.csv", "--map", "arm/ch*=channel *", "--unwrap", "ch2=360", "--hold", "ch1"];
@@ -232,7 +232,7 @@ fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
 }
 
 #[test]
-fn a_star_alone_takes_every_column_that_is_not_named_and_its_robot_from_the_name() {
+fn lone_star_maps_remaining_columns_with_robots_from_their_names() {
     let session = Session::new();
     session.file(
         "show.csv",
@@ -249,7 +249,7 @@ fn a_star_alone_takes_every_column_that_is_not_named_and_its_robot_from_the_name
 }
 
 #[test]
-fn a_table_with_too_many_columns_is_only_told_that() {
+fn table_with_too_many_columns_has_only_that_finding() {
     let session = Session::new();
     let header: Vec<String> = (0..40_000).map(|index| format!("ch{index}")).collect();
     let row = vec!["1"; 40_000].join(",");
@@ -262,7 +262,7 @@ fn a_table_with_too_many_columns_is_only_told_that() {
 }
 
 #[test]
-fn json_of_millions_of_short_values_is_refused_before_it_takes_any_memory() {
+fn json_with_millions_of_short_values_is_rejected() {
     let text = |count: usize| format!("{{\"keyframes\": [{}1]}}", "1,".repeat(count));
     check(
         "bitbots",
@@ -274,7 +274,7 @@ fn json_of_millions_of_short_values_is_refused_before_it_takes_any_memory() {
 }
 
 #[test]
-fn folders_become_acts_in_numerical_order_or_one_list() {
+fn folders_become_acts_in_numerical_order_or_are_joined() {
     let session = Session::new();
     let sequence = fixture("sequence");
     let ran = import(&session, &["crazyswarm", &sequence]);
@@ -287,7 +287,7 @@ fn folders_become_acts_in_numerical_order_or_one_list() {
 }
 
 #[test]
-fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
+fn trajectory_with_more_pieces_than_robot_can_hold_is_reported() {
     let session = Session::new();
     let traj0 = fixture("traj0.csv");
     import(&session, &["crazyswarm", &traj0]).says(
@@ -305,14 +305,14 @@ fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
 }
 
 #[test]
-fn waypoints_may_leave_lines_out() {
+fn robots_may_have_missing_waypoints() {
     check_round_trip(&["waypoints", &fixture("waypoints.csv")], "3 robots, 9 devices, 24 steps, 4 s");
     let ran = import(&Session::new(), &["waypoints", &fixture("waypoints.csv")]);
     ran.says(0, &["`cf2` has 2 waypoints, but other robots have up to 3"]);
 }
 
 #[test]
-fn keyframes_of_humanoids_are_held_for_their_pauses_and_where_joints_are_left_out() {
+fn humanoid_keyframes_are_held_for_pauses_and_missing_joints() {
     let cheering = fixture("cheering.json");
     check_round_trip(&["bitbots", &cheering], "1 robot, 20 devices, 240 steps, 12 s");
     let json = import(&Session::new(), &["bitbots", &cheering, "--format", "json"]).json();
@@ -330,7 +330,7 @@ fn keyframes_of_humanoids_are_held_for_their_pauses_and_where_joints_are_left_ou
 }
 
 #[test]
-fn every_motion_of_a_file_is_a_scene() {
+fn each_motion_in_file_becomes_scene() {
     let motions = fixture("tiago_motions_no-arm.yaml");
     check_round_trip(&["play-motion2", &motions, "--join"], "1 robot, 3 devices, 17 steps, 24 s");
     check_round_trip(&["play-motion2", &motions, "--only", "head_tour"], "2 devices, 16 steps, 21 s");
@@ -339,7 +339,7 @@ fn every_motion_of_a_file_is_a_scene() {
 }
 
 #[test]
-fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
+fn joint_trajectory_velocities_define_cubic_curves() {
     let session = Session::new();
     let yaml = "joint_names: [elbow]\npoints:\n- {positions: [0], velocities: [0], time_from_start: 0}\n- {positions: [1], velocities: [0], time_from_start: {sec: 1, nanosec: 0}}\n";
     session.file("move.yaml", yaml);
@@ -363,7 +363,7 @@ fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
 }
 
 #[test]
-fn any_csv_is_read_through_a_map_of_columns() {
+fn any_csv_can_be_read_through_column_map() {
     let session = Session::new();
     session.file("log.csv", "ms;elbow[rad];x\n0;0.5;1\n100;;2\n200;1.5;3\n");
     let args = ["csv", "log.csv", "--time", "ms", "--map", "arm/elbow=elbow", "--map", "arm/x=3"];
@@ -382,7 +382,7 @@ fn any_csv_is_read_through_a_map_of_columns() {
 }
 
 #[test]
-fn times_that_collide_are_found_with_both() {
+fn duplicate_and_decreasing_times_are_reported() {
     // The times of moveit's issue 3583.
     let times = ["0", "0.076080427", "0.207295897", "0.331884750", "0.372734245", "0.372734245"];
     let points: String =
@@ -399,7 +399,7 @@ fn times_that_collide_are_found_with_both() {
 }
 
 #[test]
-fn wrong_tables_are_found_all_at_once() {
+fn all_errors_in_a_table_are_reported_at_once() {
     let text = "id,x[m],y[m],z[m],t[s]\n1,0,nan,1,0\n1,0,1\n1,zero,1,1,2\n1,inf,1,1,-3\n";
     let parts = [
         "DB0061",
@@ -435,7 +435,7 @@ fn wrong_tables_are_found_all_at_once() {
 }
 
 #[test]
-fn wrong_trees_are_found_in_their_lines() {
+fn errors_in_yaml_and_json_are_reported_with_line_numbers() {
     let lists =
         "motions:\n  up:\n    joints: [a, b]\n    positions: [1, 2, 3]\n    times_from_start: [1, 2]\n";
     check(
@@ -457,7 +457,7 @@ fn wrong_trees_are_found_in_their_lines() {
 }
 
 #[test]
-fn devices_that_the_robot_lacks_are_found() {
+fn devices_missing_on_robot_are_reported() {
     let session = Session::new();
     session.file("log.csv", "t[s],a\n0,1\n1,2\n");
     import(&session, &["csv", "log.csv", "--map", "left/sholder=a", "--init", "arm.yaml"])
@@ -474,7 +474,7 @@ fn devices_that_the_robot_lacks_are_found() {
 }
 
 #[test]
-fn values_off_the_grid_are_to_be_snapped() {
+fn import_with_off_grid_values_requests_snapping() {
     let session = Session::new();
     session.file("log.csv", "t[s],a\n0,1\n1,2.25\n");
     let args = ["csv", "log.csv", "--map", "left/shoulder=a"];
@@ -483,7 +483,7 @@ fn values_off_the_grid_are_to_be_snapped() {
 }
 
 #[test]
-fn files_that_are_there_stay_unless_forced() {
+fn existing_files_are_not_overwritten_without_force() {
     let session = Session::new();
     let swap = fixture("swap");
     let args = ["crazyswarm", swap.as_str(), "--output", "out"];
@@ -500,7 +500,7 @@ fn files_that_are_there_stay_unless_forced() {
 }
 
 #[test]
-fn imports_stay_within_their_limits() {
+fn imports_beyond_size_limits_are_rejected() {
     let session = Session::new();
     let long = std::fs::read_to_string(fixture("swap/pp1.csv")).unwrap().replacen("0.250000", "9000000", 1);
     session.file("long.csv", long);
@@ -514,7 +514,7 @@ fn imports_stay_within_their_limits() {
 }
 
 #[test]
-fn wrong_usage_is_told() {
+fn wrong_usage_is_reported() {
     let session = Session::new();
     import(&session, &["crazyswarm"]).says(2, &["Usage"]);
     import(&session, &["skyblush", "x"]).says(2, &["crazyswarm", "waypoints", "csv"]);
@@ -531,7 +531,7 @@ fn two_routes(gap: f64) -> String {
 }
 
 #[test]
-fn drones_that_come_too_near_to_each_other_are_found_after_an_import() {
+fn drones_too_close_to_each_other_are_reported_after_import() {
     let session = Session::new();
     session.file("near.csv", two_routes(0.22));
     import(&session, &["waypoints", "near.csv", "--output", "near"]).says(0, &[]);
@@ -556,7 +556,7 @@ fn drones_that_come_too_near_to_each_other_are_found_after_an_import() {
 }
 
 #[test]
-fn messages_of_ros_that_were_printed_are_scenes() {
+fn printed_ros_messages_are_imported_as_scenes() {
     let session = Session::new();
     let message = |position: f64, time: u32| {
         format!(
@@ -586,7 +586,7 @@ fn messages_of_ros_that_were_printed_are_scenes() {
 }
 
 #[test]
-fn files_of_equal_names_are_told_apart_by_their_folders() {
+fn files_with_equal_names_are_distinguished_by_folder() {
     let session = Session::new();
     let bytes = std::fs::read(fixture("star.fseq")).unwrap();
     for folder in ["left", "right"] {

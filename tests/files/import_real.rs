@@ -89,7 +89,7 @@ fn check_samples(pieces: &[Vec<f64>], axis: usize, device: &DeviceMotion) {
 }
 
 #[test]
-fn the_swap_of_six_drones() {
+fn swap_of_six_drones_is_imported() {
     let Some(data) = data() else { return };
     let folder = drones(&data).join("swap6v_pps");
     let swap = imported(ImportFormat::Crazyswarm, &folder, &ImportOptions::default());
@@ -114,7 +114,7 @@ fn the_swap_of_six_drones() {
 }
 
 #[test]
-fn the_sequence_of_nineteen_scenes() {
+fn sequence_of_nineteen_scenes_is_imported() {
     let Some(data) = data() else { return };
     let folder = drones(&data).join("sequence_trajectories");
     let scenes = imported(ImportFormat::Crazyswarm, &folder, &rate(10.0));
@@ -142,7 +142,7 @@ fn the_sequence_of_nineteen_scenes() {
 }
 
 #[test]
-fn the_drones_of_both_shows_keep_the_distance_that_is_written_for_them() {
+fn drones_in_both_shows_keep_their_documented_distance() {
     let Some(data) = data() else { return };
     for show in ["swap6v_pps", "sequence_trajectories"] {
         let session = Session::new();
@@ -157,7 +157,7 @@ fn the_drones_of_both_shows_keep_the_distance_that_is_written_for_them() {
 }
 
 #[test]
-fn the_trajectory_that_is_too_long() {
+fn trajectory_with_too_many_pieces_is_rejected() {
     let Some(data) = data() else { return };
     let folder = data.join("crazyswarm/crazyflie_examples/crazyflie_examples/data");
     let both = folder.join("multi_trajectory");
@@ -179,7 +179,7 @@ fn the_trajectory_that_is_too_long() {
 }
 
 #[test]
-fn the_waypoints_of_three_drones() {
+fn waypoints_of_three_drones_are_imported() {
     let Some(data) = data() else { return };
     let waypoints =
         imported(ImportFormat::Waypoints, &drones(&data).join("waypoints.csv"), &ImportOptions::default());
@@ -192,7 +192,7 @@ fn the_waypoints_of_three_drones() {
 }
 
 #[test]
-fn the_animations_of_humanoids() {
+fn humanoid_animations_are_imported() {
     let Some(data) = data() else { return };
     let options = ImportOptions::default();
     let dance = imported(ImportFormat::Bitbots, &demos(&data).join("schnup_dance.json"), &options);
@@ -230,7 +230,7 @@ fn the_animations_of_humanoids() {
 }
 
 #[test]
-fn the_dance_breaks_exactly_five_limits() {
+fn dance_exceeds_exactly_five_limits() {
     let Some(data) = data() else { return };
     let session = Session::new();
     let dance = demos(&data).join("schnup_dance.json").display().to_string();
@@ -255,7 +255,7 @@ fn the_dance_breaks_exactly_five_limits() {
 }
 
 #[test]
-fn the_motions_of_tiago() {
+fn tiago_motions_are_imported() {
     let Some(data) = data() else { return };
     let folder = data.join("tiago-motions/tiago_bringup/config/motions");
     for (name, motions, positions) in
@@ -280,7 +280,7 @@ fn the_motions_of_tiago() {
 }
 
 #[test]
-fn tags_of_other_programs_are_refused() {
+fn yaml_tags_of_other_programs_are_rejected() {
     let Some(data) = data() else { return };
     for file in ["mapf-yaml/centralized/cbs/input.yaml", "mapf-yaml/centralized/sipp/input.yaml"] {
         let refused = outcome(ImportFormat::JointTrajectory, &data.join(file), &ImportOptions::default());

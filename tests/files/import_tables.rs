@@ -16,7 +16,7 @@ fn check(text: impl AsRef<[u8]>, options: &[&str], code: i32, parts: &[&str]) {
 }
 
 #[test]
-fn tables_of_german_spreadsheets_are_read() {
+fn german_spreadsheet_tables_are_read() {
     let rows = ["at: 500ms, to: 12.25", "at: 1s, to: -3.125", "commas in numbers are read as decimal commas"];
     let show = "\u{feff}Zeit [s];Hüfte [°];Kopf\r\n0,0;0,0;10\r\n0,5;12,25;11,5\r\n1,0;-3,125;1.000,5\r\n";
     check(show, &[], 0, &rows);
@@ -34,7 +34,7 @@ fn tables_of_german_spreadsheets_are_read() {
 }
 
 #[test]
-fn a_comma_that_may_separate_thousands_is_asked_about() {
+fn ambiguous_thousands_comma_requires_decimal_option() {
     let text = "t [s];x\n0;1,500\n1;2,250\n";
     check(text, &[], 1, &["DB0061", "log.csv:2:3", "`1,500`", "--decimal comma or --decimal point"]);
     check(text, &["--decimal", "comma"], 0, &["at: 0s, to: 1.5", "at: 1s, to: 2.25"]);
@@ -44,7 +44,7 @@ fn a_comma_that_may_separate_thousands_is_asked_about() {
 }
 
 #[test]
-fn blanks_separate_the_columns_of_loggers() {
+fn spaces_separate_columns_of_logger_files() {
     check("t[s]   x [m]\n 0.0    1.5\n 0.25  -2\n", &[], 0, &["at: 0s, to: 1.5", "at: 250ms, to: -2"]);
     // Written like numpy's savetxt.
     let numpy =
@@ -53,7 +53,7 @@ fn blanks_separate_the_columns_of_loggers() {
 }
 
 #[test]
-fn a_title_is_named_and_left_out() {
+fn title_lines_are_reported_and_can_be_skipped() {
     let text = "Trial 7; take 2\n\nt [s],x\n0,1\n1,2\n2,4\n";
     let parts = ["DB0060", "log.csv:1:1", "the lines from line 3 on", "--skip 2"];
     check(text, &[], 1, &parts);
@@ -65,7 +65,7 @@ fn a_title_is_named_and_left_out() {
 }
 
 #[test]
-fn frame_numbers_and_timecodes_become_times_by_their_rate() {
+fn frame_numbers_and_timecodes_are_converted_using_frame_rate() {
     let frames = "Frame,x\n1,0\n2,5\n121,6\n";
     check(frames, &[], 1, &["DB0062", "log.csv:1:1", "the frame rate is unknown", "--rate 25"]);
     check(frames, &["--rate", "120"], 0, &["at: 8.333333ms, to: 0", "at: 1.008333333s, to: 6", "--start 0s"]);
@@ -79,7 +79,7 @@ fn frame_numbers_and_timecodes_become_times_by_their_rate() {
 }
 
 #[test]
-fn dates_and_unix_times_count_from_the_first_value() {
+fn dates_and_unix_times_are_relative_to_first_value() {
     let noted = "the times are dates, so they are counted from the first value";
     check(
         "when,x\n2026-11-23T20:30:00.250+01:00,1\n2026-11-23T19:30:01.000000005Z,2\n",
@@ -118,7 +118,7 @@ fn dates_and_unix_times_count_from_the_first_value() {
 }
 
 #[test]
-fn robots_of_one_recording_keep_their_offset() {
+fn robots_in_one_recording_keep_their_time_offset() {
     let session = Session::new();
     session.file("a.csv", "t [s],x\n1795462200,1\n1795462201,2\n");
     session.file("b.csv", "t [s],x\n1795462200.5,3\n1795462201.5,4\n");

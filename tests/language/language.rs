@@ -65,7 +65,7 @@ fn lift(cue: &str) -> Planned {
 }
 
 #[test]
-fn cues_take_place_as_early_as_their_relations_allow() {
+fn cues_start_as_early_as_their_relations_allow() {
     let cue = |name: &str, keys: &str, device: &str| {
         format!("  - {{cue: {name}, {keys}, robots: left, tracks: {{{device}: [{{at: 1s, to: 10}}]}}}}\n")
     };
@@ -93,7 +93,7 @@ fn cues_take_place_as_early_as_their_relations_allow() {
 }
 
 #[test]
-fn cues_that_decide_when_the_act_ends_are_critical() {
+fn cues_that_determine_the_act_end_are_critical() {
     let cue = |name: &str, keys: &str| {
         format!("  - {{cue: {name}, {keys}, robots: left, tracks: {{{name}: [{{at: 1s, to: 10}}]}}}}\n")
     };
@@ -107,7 +107,7 @@ fn cues_that_decide_when_the_act_ends_are_critical() {
 }
 
 #[test]
-fn music_has_bars_and_beats_that_follow_the_tempo() {
+fn bars_and_beats_follow_the_tempo() {
     let plan = planned(
         "tempo: [{at: bar 1, bpm: 60, signature: 3/4}, {at: bar 3, bpm: 120}]\ncues:\n  - {cue: a, at: bar 2 beat 3, robots: left, tracks: {elbow: [{at: 1 beat, to: 10}, {at: 1 bar, to: 0}]}}\n  - {cue: b, at: bar 4, robots: right, tracks: {elbow: [{at: 2 beats, to: 10}]}}\n",
     );
@@ -117,7 +117,7 @@ fn music_has_bars_and_beats_that_follow_the_tempo() {
 }
 
 #[test]
-fn parameters_variables_and_roles_stand_for_their_values() {
+fn parameters_variables_and_roles_are_replaced_by_their_values() {
     let plan = planned(&format!(
         "variables: {{height: 12.5, pause: 2s}}\nroles: {{leader: left}}\n{LIFT}cues:\n  - {{at: $pause, robots: leader, move: lift, parameters: {{to: $height}}}}\n"
     ));
@@ -133,7 +133,7 @@ fn movements_are_scaled_and_mirrored_about_a_value() {
 }
 
 #[test]
-fn reversing_and_repeating_keep_the_whole_length() {
+fn reversed_and_repeated_movements_keep_their_full_length() {
     assert_eq!(lift("reverse: true").steps("left", "elbow"), [(0.0, 0.0), (2_000.0, 30.0), (3_000.0, 0.0)]);
     let five = [(0.0, 0.0), (1_000.0, 30.0), (3_000.0, 0.0), (4_000.0, 30.0), (6_000.0, 0.0)];
     assert_eq!(lift("repeat: 2").steps("left", "elbow"), five);
@@ -143,7 +143,7 @@ fn reversing_and_repeating_keep_the_whole_length() {
 }
 
 #[test]
-fn a_canon_staggers_robots_and_overrides_change_some() {
+fn canon_staggers_robots_and_overrides_adjust_individual_ones() {
     let plan = planned(&format!(
         "{LIFT}cues:\n  - {{cue: a, at: 0s, robots: arms, move: lift, canon: 400ms, overrides: {{right: {{scale: 0.5, delay: 100ms}}}}}}\n"
     ));
@@ -153,7 +153,7 @@ fn a_canon_staggers_robots_and_overrides_change_some() {
 }
 
 #[test]
-fn a_duration_within_bounds_is_as_short_as_the_device_allows() {
+fn duration_range_uses_shortest_time_the_device_allows() {
     // 90 degrees take 1.5 s at 60 degrees per second.
     let plan = planned(
         "cues:\n  - {cue: a, at: 0s, duration: 500ms..9s, robots: left, tracks: {elbow: [{at: 0s, to: 0}, {at: 3s, to: 90}]}}\n",
@@ -162,7 +162,7 @@ fn a_duration_within_bounds_is_as_short_as_the_device_allows() {
 }
 
 #[test]
-fn includes_bring_moves_and_variables() {
+fn includes_provide_moves_and_variables() {
     let shared = "variables: {h: 20}\nmoves: {up: {tracks: {elbow: [{at: 1s, to: $h}]}}}\n";
     let plan = planned_with(
         "include: shared.yaml\ncues:\n  - {robots: left, move: up, devices: {elbow: wrist}}\n",
@@ -215,7 +215,7 @@ fn every_curve_stays_within_its_tolerance() {
 }
 
 #[test]
-fn samples_come_from_a_column_of_a_file() {
+fn samples_are_read_from_a_file_column() {
     let csv = "# measured\nmillis;x,y\n0,1,0\n500,2,20\n1000,3,0\n".replace("millis;x", "millis,x");
     let plan = planned_with(
         "cues:\n  - {robots: left, tracks: {wrist: {samples: {file: c.csv, time: millis, value: 3, time_unit: ms, scale: 2}}}}\n",
@@ -225,7 +225,7 @@ fn samples_come_from_a_column_of_a_file() {
 }
 
 #[test]
-fn several_values_and_readings_are_planned() {
+fn multiple_values_and_readings_are_planned() {
     let plan = planned(
         "cues:\n  - {at: 1s, robots: rover, read: {range: [0s, 500ms]}, tracks: {lamp: [{at: 0s, to: [1, 2, 3]}]}}\n",
     );
@@ -240,7 +240,7 @@ fn several_values_and_readings_are_planned() {
 }
 
 #[test]
-fn zones_keep_cues_apart_in_the_order_given_or_found() {
+fn zones_separate_cues_in_given_or_computed_order() {
     let cues = "cues:\n  - {cue: long, uses: table, robots: left, tracks: {elbow: [{at: 3s, to: 30}]}}\n  - {cue: short, uses: table, end_by: 2s, robots: right, tracks: {elbow: [{at: 1s, to: 30}]}}\n";
     let plan = planned(&format!("zones: {{table: auto}}\n{cues}"));
     assert_eq!((plan.cue("short"), plan.cue("long")), ((0.0, 1_000.0), (1_000.0, 4_000.0)));
@@ -253,7 +253,7 @@ fn zones_keep_cues_apart_in_the_order_given_or_found() {
 }
 
 #[test]
-fn long_scripts_are_chained_without_a_gap() {
+fn long_scripts_are_chained_without_gaps() {
     let plan = lift("repeat: 5");
     let scripts = plan.scripts("left", "elbow");
     assert_eq!(scripts.len(), 2);
@@ -264,7 +264,7 @@ fn long_scripts_are_chained_without_a_gap() {
 }
 
 #[test]
-fn so_many_steps_have_the_smallest_error_and_a_tolerance_leaves_keyframes_out() {
+fn max_steps_minimizes_error_and_tolerance_omits_keyframes() {
     let keyframes = "[{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 20.5}, {at: 3s, to: 30}]";
     let plan = |wish: &str| {
         planned(&format!(
@@ -277,7 +277,7 @@ fn so_many_steps_have_the_smallest_error_and_a_tolerance_leaves_keyframes_out() 
 }
 
 #[test]
-fn acts_carry_what_they_wait_for_and_where_they_lead() {
+fn acts_contain_their_wait_conditions_and_successors() {
     let plan = planned(
         "on_failure: stop\nacts:\n  - act: one\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]\n    next: three\n    on_failure: {default: without, then: three}\n  - act: two\n    wait: {time: '19:30'}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 20}]}}]\n    next: end\n  - act: three\n    wait: {sensor: rover/range, within: [0.5, 1], timeout: 20s, otherwise: two}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 30}]}}]\n    next: end\n",
     );
@@ -290,7 +290,7 @@ fn acts_carry_what_they_wait_for_and_where_they_lead() {
 }
 
 #[test]
-fn in_doubt_an_act_starts_unless_it_or_the_scenario_says_otherwise() {
+fn on_doubt_defaults_to_start_unless_act_or_scenario_overrides_it() {
     let doubts = |whole: &str, own: &str| {
         let act = |name: &str, own: &str| {
             let cues = "cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]";
@@ -308,7 +308,7 @@ fn in_doubt_an_act_starts_unless_it_or_the_scenario_says_otherwise() {
 }
 
 #[test]
-fn warnings_are_errors_where_they_are_denied_and_findings_become_sarif() {
+fn denied_warnings_are_errors_and_findings_are_exported_as_sarif() {
     let session = Session::new();
     session.file(
         "test.yaml",
@@ -347,7 +347,7 @@ fn job_shop(deadline: &str) -> String {
 }
 
 #[test]
-fn a_job_shop_is_done_by_its_optimum_and_not_before() {
+fn job_shop_meets_its_optimal_deadline_but_no_earlier_one() {
     let session = Session::new();
     session.file("in_time.yaml", job_shop("55s")).file("too_early.yaml", job_shop("54s"));
     let plan = session.run(&["plan", "in_time.yaml", "--format", "json"]).json();
@@ -364,7 +364,7 @@ fn a_job_shop_is_done_by_its_optimum_and_not_before() {
 }
 
 #[test]
-fn a_plan_states_what_each_repetition_lasts() {
+fn plan_states_duration_of_each_repetition() {
     let repeat = |cue: &str| {
         let json = lift(cue).0["acts"][0]["cues"][0]["repeat"].clone();
         ["times", "length_ms", "every_ms"].map(|key| json[key].as_f64())
@@ -382,7 +382,7 @@ fn a_plan_states_what_each_repetition_lasts() {
 }
 
 #[test]
-fn a_plan_says_of_which_devices_no_speed_is_too_fast() {
+fn plan_lists_devices_with_unknown_speed_limits() {
     let session = Session::new();
     let nods = "scenario: s\ntempo: 480\ncues:\n  - {cue: nods, at: 0s, robots: arms, duration: 1 bar, repeat: 5, tracks: {DEVICE: [{at: 0s, to: 0}, {at: 500ms, to: 30, ease: smooth}, {at: 1s, to: 0, ease: smooth}]}}\n  - {cue: rest, after: nods, robots: left, tracks: {DEVICE: [{at: 1s, to: 0}]}}\n";
     session
@@ -412,7 +412,7 @@ fn a_plan_says_of_which_devices_no_speed_is_too_fast() {
 }
 
 #[test]
-fn a_plan_of_many_steps_is_printed_while_it_is_made() {
+fn plan_with_many_steps_is_printed_incrementally() {
     const STEPS: usize = 200_000;
     let session = Session::new();
     let rows = (0..STEPS).map(|row| format!("{}.{:02},{}\n", row / 100, row % 100, (row * 37) % 90));

@@ -41,7 +41,7 @@ fn json_files(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn three_of_the_twenty_demos_keep_the_joint_limits() {
+fn three_of_twenty_demos_respect_joint_limits() {
     let Some(data) = data() else { return };
     let demos = json_files(&data.join("bitbots-animations/bitbots_demo_animations"));
     assert_eq!(demos.len(), 20);
@@ -53,7 +53,7 @@ fn three_of_the_twenty_demos_keep_the_joint_limits() {
 }
 
 #[test]
-fn the_dance_breaks_exactly_five_limits() {
+fn dance_exceeds_exactly_five_limits() {
     let Some(data) = data() else { return };
     let dance = data.join("bitbots-animations/bitbots_demo_animations/schnup_dance.json");
     let errors = errors("bitbots", &dance, "wolfgang.yaml").unwrap();
@@ -74,7 +74,7 @@ fn the_dance_breaks_exactly_five_limits() {
 }
 
 #[test]
-fn of_tiagos_motions_only_the_torso_of_reach_max_is_too_fast() {
+fn only_reach_max_torso_motion_of_tiago_is_too_fast() {
     let Some(data) = data() else { return };
     let motions = data.join("tiago-motions/tiago_bringup/config/motions");
     for (name, too_fast) in [("no-arm", 0), ("pal-gripper", 1), ("pal-hey5", 1), ("robotiq-2f-85", 1)] {
@@ -92,7 +92,7 @@ fn of_tiagos_motions_only_the_torso_of_reach_max_is_too_fast() {
 }
 
 #[test]
-fn the_table_of_texts_that_are_not_yaml_tells_what_refuses_each() {
+fn invalid_yaml_table_states_why_each_text_is_rejected() {
     let Some(data) = data() else { return };
     let table = std::fs::read_to_string(root().join("docs/yaml.md")).unwrap();
     let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
@@ -119,7 +119,7 @@ fn the_table_of_texts_that_are_not_yaml_tells_what_refuses_each() {
 }
 
 #[test]
-fn nineteen_scenes_of_seven_drones_fit_as_nineteen_acts_and_are_refilled_as_one() {
+fn nineteen_scenes_of_seven_drones_fit_as_acts_and_refill_as_one_act() {
     let Some(data) = data() else { return };
     let scenes = sequence(&data);
     let session = Session::new();

@@ -305,7 +305,7 @@ fn agree(show: &Show, stage: &Stage, real: &Value, (dry, world): &(Played, World
 }
 
 #[test]
-fn dry_runs_in_the_measured_world_agree_with_the_missions_of_processes_in_decisions_steps_and_times() {
+fn dry_runs_in_measured_world_agree_with_real_missions() {
     std::thread::scope(|scope| {
         for show in &SHOWS {
             scope.spawn(move || {

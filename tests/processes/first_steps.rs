@@ -25,7 +25,7 @@ fn downbeat(folder: &Path, args: &[&str]) -> Ran {
 const TEMPLATES: [(&str, bool); 4] = [("arms", false), ("drones", false), ("stage", true), ("edge", false)];
 
 #[test]
-fn every_template_runs_at_once() {
+fn every_template_runs_without_changes() {
     for (template, waits) in TEMPLATES {
         let folder = TempDir::new().unwrap();
         let folder = folder.path();
@@ -133,12 +133,12 @@ fn script(blocks: &[Block], out: &Path) -> String {
 }
 
 #[test]
-fn the_tour_of_the_readme_works_word_for_word_in_an_empty_folder() {
+fn readme_tour_works_verbatim_in_an_empty_folder() {
     works_word_for_word("README.md");
 }
 
 #[test]
-fn the_tutorial_works_word_for_word_in_an_empty_folder() {
+fn tutorial_works_verbatim_in_an_empty_folder() {
     works_word_for_word("docs/tutorial.md");
 }
 

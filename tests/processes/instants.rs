@@ -309,7 +309,7 @@ fn number(name: &str) -> Option<u64> {
 }
 
 #[test]
-fn whatever_befalls_a_robot_report_and_exit_code_agree_with_the_robots_logs() {
+fn report_and_exit_code_agree_with_robot_logs_under_random_faults() {
     let first = number("DOWNBEAT_INSTANTS_FIRST").unwrap_or(0);
     let missions = number("DOWNBEAT_INSTANTS").unwrap_or(8);
     let next = AtomicU64::new(first);

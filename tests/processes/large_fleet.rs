@@ -51,7 +51,7 @@ fn plan() -> Plan {
 }
 
 #[test]
-fn a_thousand_robots_on_tcp_prepare_start_and_report_without_a_failure() {
+fn thousand_robots_over_tcp_prepare_start_and_report_without_failure() {
     downbeat::open_files::raise_limit();
     let machines = (0..ROBOTS).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
     let host = Host::start(machines, HostOptions::default()).unwrap();

@@ -178,19 +178,19 @@ fn check(kind: &str, desk_for_each: bool) {
 }
 
 #[test]
-fn every_finding_is_printed_as_approved() {
+fn every_finding_matches_its_approved_output() {
     assert!(sessions(FINDINGS).len() >= 100);
     check(FINDINGS, false);
 }
 
 #[test]
-fn every_mistake_is_answered_as_approved() {
+fn every_mistake_matches_its_approved_output() {
     assert!(sessions(MISTAKES).len() >= 300);
     check(MISTAKES, true);
 }
 
 #[test]
-fn a_session_that_bears_a_code_shows_it() {
+fn session_named_after_a_finding_code_shows_that_code() {
     for path in sessions(FINDINGS).iter().filter(|path| name(path).starts_with("DB")) {
         let code = format!("[{}]", &name(path)[..6]);
         assert!(fs::read_to_string(path).unwrap().contains(&code), "{} does not show {code}", name(path));
@@ -198,7 +198,7 @@ fn a_session_that_bears_a_code_shows_it() {
 }
 
 #[test]
-fn every_scenario_of_the_findings_has_a_session() {
+fn every_findings_scenario_has_a_session() {
     // Files that others include.
     const PARTS: [&str; 3] = ["fleet", "hand", "shared"];
     let typed: String = sessions(FINDINGS).iter().map(|path| fs::read_to_string(path).unwrap()).collect();
@@ -268,7 +268,7 @@ fn advises(printed: &str) -> bool {
 }
 
 #[test]
-fn every_mistake_is_answered_with_advice() {
+fn output_for_every_mistake_contains_advice() {
     for path in sessions(MISTAKES) {
         let text = fs::read_to_string(&path).unwrap();
         let printed: Vec<_> = text.lines().filter(|line| !line.starts_with(['$', '>'])).skip(1).collect();
@@ -278,7 +278,7 @@ fn every_mistake_is_answered_with_advice() {
 }
 
 #[test]
-fn no_session_prints_nothing_or_empty_names() {
+fn every_session_prints_output_without_empty_names() {
     for path in [FINDINGS, MISTAKES].into_iter().flat_map(sessions) {
         let text = fs::read_to_string(&path).unwrap();
         let (name, typed) = (path.display(), Typed::of(&text));

@@ -15,7 +15,7 @@ fn set_up(count: usize, running: &str) -> (Stage, Process) {
 }
 
 #[test]
-fn a_mission_at_keys_is_played_and_told_as_the_robots_log_it() {
+fn mission_over_zenoh_keys_plays_and_report_matches_robot_logs() {
     let (stage, _robots) = set_up(6, "2s");
     let ping = stage.run(&["fleet", "ping", "fleet.yaml"]);
     assert_eq!(ping.code, Some(0), "{ping}");
@@ -34,7 +34,7 @@ fn a_mission_at_keys_is_played_and_told_as_the_robots_log_it() {
 }
 
 #[test]
-fn a_robot_has_one_mission_and_a_stop_ends_it_from_anywhere() {
+fn robot_has_one_mission_at_a_time_and_a_stop_ends_it() {
     let (stage, _robots) = set_up(2, "2s");
     let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
     assert!(first.start() > 0);
@@ -54,7 +54,7 @@ fn a_robot_has_one_mission_and_a_stop_ends_it_from_anywhere() {
 }
 
 #[test]
-fn what_is_wrong_with_a_place_is_said_with_what_to_do() {
+fn zenoh_address_and_configuration_errors_state_how_to_fix_them() {
     let (stage, _robots) = set_up(1, "2s");
     let robot = |listen: &str, args: &[&str]| {
         let args = [&["robot", "--init", "robot.yaml", "--listen", listen], args].concat();
@@ -83,7 +83,7 @@ fn what_is_wrong_with_a_place_is_said_with_what_to_do() {
 }
 
 #[test]
-fn robots_whose_process_is_killed_are_missed_at_once_and_nothing_is_made_up() {
+fn loss_of_killed_robot_process_is_detected_and_reported_truthfully() {
     let (stage, mut robots) = set_up(4, "2s");
     let run = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
     stage::sleep_until(start(&stage) + 1_000_000_000);

@@ -43,7 +43,7 @@ fn certify(stage: &Stage, name: &str, file: &str, authority: &Issuer<'static, Ke
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
+fn documented_zenoh_files_admit_certified_members_only_in_their_roles() {
     let stage = stage_of("20s", "without", LONG, 10);
     let ((ca, site), (_, strange)) = (authority("site"), authority("elsewhere"));
     stage.file("ca.pem", ca.pem());

@@ -77,7 +77,7 @@ impl Hall {
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn a_fleet_behind_two_routers_prepares_starts_and_reports() {
+fn fleet_behind_two_routers_prepares_starts_and_reports() {
     let hall = Hall::open("5s");
     let began = Instant::now();
     let ended = hall.run().ended_within(Duration::from_secs(180)).unwrap();
@@ -88,7 +88,7 @@ fn a_fleet_behind_two_routers_prepares_starts_and_reports() {
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn a_router_that_is_killed_while_scripts_are_sent_lets_all_robots_start_or_none() {
+fn all_or_no_robots_start_if_a_router_is_killed_during_script_transfer() {
     for after in [5, 60, 150] {
         let mut hall = Hall::of(stage_where("5s", "stop"));
         let ended = hall.prepare_without_router(after);
@@ -99,7 +99,7 @@ fn a_router_that_is_killed_while_scripts_are_sent_lets_all_robots_start_or_none(
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn a_router_that_is_killed_while_scripts_are_sent_costs_its_own_robots_at_most() {
+fn router_killed_during_script_transfer_affects_at_most_its_own_robots() {
     for after in [5, 60, 150] {
         let mut hall = Hall::open("5s");
         let ended = hall.prepare_without_router(after);
@@ -111,7 +111,7 @@ fn a_router_that_is_killed_while_scripts_are_sent_costs_its_own_robots_at_most()
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn a_router_that_is_back_within_the_lease_costs_nothing() {
+fn router_restarted_within_the_lease_affects_nothing() {
     let mut hall = Hall::open("20s");
     let run = hall.run();
     stage::sleep_until(start(&hall.stage) + 1_000_000_000);
@@ -125,7 +125,7 @@ fn a_router_that_is_back_within_the_lease_costs_nothing() {
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn a_router_that_stays_away_ends_its_robots_with_their_lease_and_no_others() {
+fn permanently_lost_router_ends_only_its_robots_at_their_lease_end() {
     let mut hall = Hall::open("1s");
     let run = hall.run();
     stage::sleep_until(start(&hall.stage) + 1_000_000_000);

@@ -46,7 +46,7 @@ fn direct(stage: &Stage, count: usize) -> (Process, Relay) {
 }
 
 #[test]
-fn twenty_robots_that_play_the_same_script_get_it_published_once() {
+fn script_shared_by_twenty_robots_is_published_once() {
     let stage = long_stage();
     let (_robots, relay) = direct(&stage, 20);
     let sent = played(&stage, 20, &relay);
@@ -54,7 +54,7 @@ fn twenty_robots_that_play_the_same_script_get_it_published_once() {
 }
 
 #[test]
-fn robots_that_play_different_scripts_are_sent_each_its_own() {
+fn robots_with_different_scripts_each_receive_their_own() {
     let stage = long_stage();
     let own = |robot: u32| {
         let track = track(STEPS, EVERY_MS, 90 + robot);
@@ -70,7 +70,7 @@ fn robots_that_play_different_scripts_are_sent_each_its_own() {
 }
 
 #[test]
-fn a_scheduler_that_is_killed_and_started_again_publishes_anew() {
+fn killed_and_restarted_scheduler_publishes_again() {
     let stage = stage_of("1s", "without", STEPS, EVERY_MS);
     let (_robots, relay) = direct(&stage, 20);
     let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
@@ -88,7 +88,7 @@ fn a_scheduler_that_is_killed_and_started_again_publishes_anew() {
 }
 
 #[test]
-fn two_schedulers_publish_at_the_same_time_each_for_its_robots() {
+fn two_schedulers_publish_simultaneously_each_for_its_own_robots() {
     let stage = long_stage();
     let (_robots, relay) = direct(&stage, 20);
     let runs = [("first", 0), ("second", 10)].map(|(name, first)| {
@@ -130,7 +130,7 @@ fn routed(stage: &Stage, router: &Router, count: usize) -> (Process, Relay) {
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn robots_that_do_not_get_what_was_published_ask_for_it() {
+fn robots_request_published_scripts_they_did_not_receive() {
     let stage = long_stage();
     let router = denying(&stage, "\"put\"");
     let (_robots, relay) = routed(&stage, &router, 20);
@@ -141,7 +141,7 @@ fn robots_that_do_not_get_what_was_published_ask_for_it() {
 
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
-fn behind_a_router_with_rules_of_before_robots_are_sent_whole_scripts() {
+fn robots_behind_a_router_with_old_rules_receive_whole_scripts() {
     let stage = long_stage();
     let all = "\"put\", \"declare_subscriber\", \"query\", \"reply\", \"declare_queryable\"";
     let router = denying(&stage, all);

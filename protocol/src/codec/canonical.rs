@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_read_in_their_one_text() {
+    fn only_canonical_numbers_are_accepted() {
         for (text, value) in [
             ("0", 0.0),
             ("7", 7.0),
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_canonical_script_is_left_to_others() {
+    fn non_canonical_script_is_left_to_the_general_parser() {
         let canonical = r#"[{"time_offset_to_start":0,"control_type":"custom_3","control_value":1,"control_value_2":2.5,"control_value_3":-3},{"time_offset_to_start":0.5,"control_type":"speed","control_value":0}]"#;
         let read =
             |text: &str| super::read(text).map(|(script, own, rest)| (script, own.len(), rest.to_owned()));
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_steps_and_values_are_read_than_there_may_be() {
+    fn counts_of_steps_and_values_are_limited() {
         let step = r#"{"time_offset_to_start":0,"control_type":"speed","control_value":0}"#;
         let steps = |count: usize| format!("[{}]", vec![step; count].join(","));
         assert_eq!(read(&steps(SCRIPT_STEPS_MAX)).unwrap().0.steps().len(), SCRIPT_STEPS_MAX);
@@ -223,7 +223,7 @@ mod tests {
     proptest! {
         /// Every accepted number is in canonical form, and serde_json parses it to the same value.
         #[test]
-        fn a_number_that_is_read_is_canonical(text in "-?[0-9]{0,3}[0-9]{0,14}(\\.[0-9]{0,14}[0-9]{0,3})?(e-?[0-9])?") {
+        fn accepted_number_is_canonical(text in "-?[0-9]{0,3}[0-9]{0,14}(\\.[0-9]{0,14}[0-9]{0,3})?(e-?[0-9])?") {
             if let Some((value, "")) = read_number(&text) {
                 prop_assert_eq!(serde_json::from_str::<f64>(&text).unwrap().to_bits(), value.to_bits());
                 prop_assert_eq!(serde_json::to_string(&crate::number::Number(value)).unwrap(), text);
@@ -232,7 +232,7 @@ mod tests {
 
         /// Every number with few digits is accepted.
         #[test]
-        fn a_number_of_few_digits_is_read(digits in -999_999_999_999_999_i64..1_000_000_000_000_000, places in 0..15_i32) {
+        fn number_with_few_digits_is_accepted(digits in -999_999_999_999_999_i64..1_000_000_000_000_000, places in 0..15_i32) {
             let value = digits as f64 / 10_f64.powi(places);
             let text = serde_json::to_string(&crate::number::Number(value)).unwrap();
             let short = text.bytes().filter(u8::is_ascii_digit).count() <= DIGITS_MAX;

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_that_comes_again_has_the_steps_that_are_known() {
+    fn repeated_script_reuses_the_known_steps() {
         let known = KnownScripts::default();
         let scripts = [script(&[1.0, 2.0]), script(&[1.0])];
         for (script, text) in scripts.each_ref().map(|script| (script, note(&known, script))) {
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_in_its_canonical_text_is_hashed_without_being_written() {
+    fn canonical_script_is_hashed_without_serialization() {
         for (script, is_kept) in [(script(&[1.5, -2.0]), true), (script(&[0.5; 2_000]), false)] {
             let text = serde_json::to_string(&script).unwrap();
             let request =
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hash_is_that_of_what_is_read_and_not_what_a_line_says() {
+    fn script_hash_is_computed_despite_a_different_hash_in_the_message() {
         let [response, request] = lines(&format!(
             r#","status_value":{},"content_hash":"{}""#,
             note(&KnownScripts::default(), &script(&[1.0])),
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_than_the_last_scripts_are_kept_and_each_once() {
+    fn only_the_latest_scripts_are_kept_without_duplicates() {
         let known = KnownScripts::default();
         let scripts: Vec<_> = (0..=KEPT).map(|value| script(&[value as f64])).collect();
         let texts: Vec<_> = scripts.iter().map(|script| note(&known, script)).collect();
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_known_text_is_not_kept() {
+    fn script_without_cached_text_is_not_kept() {
         let known = KnownScripts::default();
         let hashed = |script: &Script| {
             note(&known, script);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_in_another_place_is_no_value_of_the_message() {
+    fn script_elsewhere_in_the_message_is_not_taken_as_its_value() {
         let known = KnownScripts::default();
         let text = note(&known, &script(&[1.0]));
         for keys in [
@@ -246,7 +246,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn lines_mean_what_they_mean_without_it(
+        fn fast_parser_agrees_with_the_general_parser(
             parts in proptest::collection::vec(0..10_usize, 0..8), cut in 0..400_usize,
         ) {
             let known = KnownScripts::default();

@@ -248,7 +248,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_beginning_of_the_next_message_does_not_keep_the_memory_of_a_long_one() {
+    fn memory_of_a_long_message_is_freed_when_the_next_one_has_begun() {
         let mut decoder = Decoder::default();
         decoder.push(&[b" ".repeat(1_000_000).as_slice(), b"[]\n{\"avail"].concat());
         assert!(decoder.next_message().is_some_and(|read| read.is_err()));
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_buffer_never_grows_beyond_one_message_and_one_push() {
+    fn buffer_never_exceeds_one_message_and_one_push() {
         let most = LIMIT + frame::HEAD_BYTES + CHUNK;
         assert!(largest_buffer(repeated(b'x', 5 * LIMIT)) <= most, "an endless line");
         assert!(largest_buffer(repeated(b' ', LIMIT - 1).chain([b'\n'])) <= most, "the longest line");
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_message_is_measured_without_being_read() {
+    fn next_message_is_measured_without_parsing() {
         check_front(b"", None);
         check_front(b"{\"a", Some(Front { bytes: 3, whole: false }));
         check_front(b"{}\n{}\n", Some(Front { bytes: 3, whole: true }));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_that_is_lowered_holds_for_what_is_buffered() {
+    fn lowered_limit_applies_to_buffered_bytes() {
         let mut decoder = Decoder::new(LIMIT);
         decoder.push(&[b' '; 100]);
         decoder.set_limit(50);
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_read_leaves_no_buffer_behind() {
+    fn buffer_is_freed_after_its_message_is_read() {
         for text in [&vec![b' '; LIMIT - 1], &b"{\"initialization_request\": {}}".to_vec()] {
             let mut decoder = Decoder::new(LIMIT);
             decoder.push(text);

@@ -70,7 +70,7 @@ const POSITION: &[u8] = b"\xA8position";
 const SCRIPT: &[u8] = b"\xA6script";
 
 #[test]
-fn lines_and_frames_follow_each_other_wherever_the_stream_is_cut() {
+fn mixed_lines_and_frames_are_decoded_wherever_the_stream_is_split() {
     let expected = [
         (Encoding::Json, ping()),
         (Encoding::MessagePack, cancel("a")),
@@ -94,7 +94,7 @@ fn lines_and_frames_follow_each_other_wherever_the_stream_is_cut() {
 }
 
 #[test]
-fn a_frame_that_comes_byte_by_byte_is_read_with_its_last() {
+fn frame_received_byte_by_byte_is_decoded_at_its_last_byte() {
     let bytes = written(Encoding::MessagePack, &cancel("a"));
     let mut decoder = Decoder::default();
     for byte in &bytes[..bytes.len() - 1] {
@@ -106,7 +106,7 @@ fn a_frame_that_comes_byte_by_byte_is_read_with_its_last() {
 }
 
 #[test]
-fn an_overlong_frame_is_refused_by_its_head_and_skipped_by_its_length() {
+fn overlong_frame_is_refused_from_its_header_and_skipped() {
     for chunk in [1, 7, 64, 10_000] {
         let mut stream = frame(&vec![b'x'; 5_000]);
         stream.extend(written(Encoding::MessagePack, &ping()));
@@ -122,7 +122,7 @@ fn an_overlong_frame_is_refused_by_its_head_and_skipped_by_its_length() {
 }
 
 #[test]
-fn garbage_between_messages_is_answered_once_each_and_costs_no_message() {
+fn garbage_between_messages_causes_one_error_each_and_loses_no_message() {
     let mut decoder = Decoder::new(100);
     let stream = [
         written(Encoding::MessagePack, &ping()),
@@ -138,7 +138,7 @@ fn garbage_between_messages_is_answered_once_each_and_costs_no_message() {
 }
 
 #[test]
-fn payloads_that_are_no_message_pack_say_why() {
+fn error_for_invalid_message_pack_states_the_reason() {
     check_not_message_pack(b"", "unexpected end");
     check_not_message_pack(b"\x81", "unexpected end");
     check_not_message_pack(b"\xC1", "Reserved");
@@ -147,7 +147,7 @@ fn payloads_that_are_no_message_pack_say_why() {
 }
 
 #[test]
-fn a_payload_is_a_dictionary_of_one_key() {
+fn payload_is_a_dictionary_with_one_key() {
     let ping = &written(Encoding::MessagePack, &ping())[6..];
     let two = [b"\x82".as_slice(), ping, ping].concat();
     let list = [b"\x92".as_slice(), ping].concat();
@@ -162,14 +162,14 @@ fn a_payload_is_a_dictionary_of_one_key() {
 }
 
 #[test]
-fn depth_is_bounded() {
+fn nesting_depth_is_limited() {
     check_not_message_pack(&b"\x91".repeat(1_000_000), "more than 128 nested levels");
     check_not_message_pack(&request(&[("colour", &b"\x91".repeat(200))]), "more than 128 nested levels");
     check_not_message_pack(&b"\x81\xA1a".repeat(1_000_000), "more than 128 nested levels");
 }
 
 #[test]
-fn lengths_that_lie_take_no_memory() {
+fn false_lengths_allocate_no_memory() {
     // Headers of a text, a list of steps and a dictionary that state four billion entries, without any entries.
     for lie in [b"\xDB\xFF\xFF\xFF\xFF", b"\xDD\xFF\xFF\xFF\xFF", b"\xDF\xFF\xFF\xFF\xFF"] {
         check_not_message_pack(
@@ -181,7 +181,7 @@ fn lengths_that_lie_take_no_memory() {
 }
 
 #[test]
-fn a_request_beyond_the_limits_is_refused_with_its_place() {
+fn request_beyond_the_limits_is_refused_with_its_path() {
     let nan = [&[0xCB], f64::NAN.to_be_bytes().as_slice()].concat();
     let infinite = [&[0xCA], f32::INFINITY.to_be_bytes().as_slice()].concat();
     for bad in [nan.as_slice(), &infinite] {
@@ -222,7 +222,7 @@ fn a_request_beyond_the_limits_is_refused_with_its_place() {
 }
 
 #[test]
-fn a_value_of_minus_zero_is_zero() {
+fn value_of_negative_zero_is_zero() {
     let minus = [&[0xCB], (-0.0f64).to_be_bytes().as_slice()].concat();
     let mut decoder = Decoder::default();
     decoder.push(&frame(&request(&[("control_type", POSITION), ("control_value", &minus)])));
@@ -234,7 +234,7 @@ fn a_value_of_minus_zero_is_zero() {
 }
 
 #[test]
-fn steps_by_name_are_read_too() {
+fn steps_with_named_fields_are_accepted() {
     let step = b"\x91\x83\xB4time_offset_to_start\x07\xACcontrol_type\xA5speed\xADcontrol_value\x01";
     let mut decoder = Decoder::default();
     decoder.push(&frame(&request(&[("control_type", SCRIPT), ("control_value", step)])));
@@ -244,7 +244,7 @@ fn steps_by_name_are_read_too() {
 }
 
 #[test]
-fn a_script_in_a_frame_has_no_more_steps_than_one_in_a_line() {
+fn steps_of_a_script_are_limited_in_frames_and_in_lines() {
     let script = |count: usize| {
         let mut steps = vec![0xDD];
         steps.extend(u32::try_from(count).unwrap().to_be_bytes());
@@ -264,7 +264,7 @@ fn a_script_in_a_frame_has_no_more_steps_than_one_in_a_line() {
 }
 
 #[test]
-fn a_custom_parameter_that_is_not_finite_is_refused() {
+fn non_finite_custom_parameter_is_refused() {
     let block = serde_json::json!({"initialization_block": {"id": "r", "api_version": "1", "devices": [
         {"id": "d", "name": "d", "available_control_types": {"custom_1": {"gain": 0.1}}}]}});
     let mut payload = rmp_serde::to_vec_named(&block).unwrap();

@@ -483,7 +483,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_multiple_has_no_more_digits_than_the_granularity() {
+    fn multiple_has_at_most_as_many_decimals_as_the_granularity() {
         for (granularity, digits) in
             [(0.1, 1), (0.02, 2), (0.25, 2), (2.5, 1), (3.0, 0), (1e-7, 7), (0.017, 3)]
         {
@@ -505,7 +505,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_settable_if_it_is_a_multiple_within_the_limits() {
+    fn nearest_settable_value_is_a_multiple_within_the_limits() {
         let limits = Limits::new(-9.99, 9.99, 1.0).unwrap();
         for (value, settable) in [(9.8, 9.0), (-9.8, -9.0), (9.49, 9.0), (40.0, 9.0), (3.5, 4.0)] {
             assert_eq!(limits.nearest_settable(value), settable, "{value}");
@@ -516,7 +516,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_inherits_what_it_leaves_out_unless_the_control_types_that_it_supports_differ() {
+    fn script_inherits_omitted_limits_unless_its_control_types_differ() {
         let read = |speed: &str, script: &str| {
             let position = r#"{"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 2}"#;
             let text = format!(r#"{{"position": {position}, "speed": {speed}, "script": {script}}}"#);
@@ -536,7 +536,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_between_two_multiples_are_refused() {
+    fn limits_that_contain_no_multiple_are_refused() {
         let error = Limits::new(1.0, 4.0, 5.0).unwrap_err();
         assert!(
             error

@@ -81,7 +81,7 @@ mod tests {
     use crate::DeviceId;
 
     #[test]
-    fn a_copy_shares_its_devices_until_it_is_changed() {
+    fn copy_shares_its_devices_until_it_is_changed() {
         let original: Devices = std::iter::once(Device::new(DeviceId::new("lamp").unwrap())).collect();
         let mut copy = original.clone();
         assert!(copy.is_same(&original));

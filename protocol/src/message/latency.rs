@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_latency_is_a_number_of_milliseconds_and_its_spread_needs_it() {
+    fn latency_is_in_milliseconds_and_its_spread_requires_it() {
         let latency = |keys| block(keys).unwrap().devices[0].actuation_latency();
         assert_eq!(latency(""), None);
         assert_eq!(latency(r#""latency": null,"#), None);
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_latency_is_written_as_it_was_read_and_none_not_at_all() {
+    fn latency_is_written_as_it_was_read_and_omitted_if_absent() {
         for (keys, written) in [("", false), (r#""latency": 41.2, "latency_spread": 3.1,"#, true)] {
             let text = serde_json::to_string(&block(keys).unwrap()).unwrap();
             assert_eq!(text.contains(r#""latency":41.2,"latency_spread":3.1"#), written, "{text}");

@@ -8,7 +8,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     #[test]
-    fn whatever_happens_to_a_robot_it_keeps_its_invariants(
+    fn robot_keeps_its_invariants_under_any_operations(
         operations in prop::collection::vec(any::<u8>(), 0..2_000).prop_map(|bytes| operations(&bytes)),
     ) {
         play(&operations).map_err(|violation| TestCaseError::fail(violation.to_string()))?;
@@ -27,7 +27,7 @@ fn check_driven(position: &str, acceleration: &str, more: &str) {
 }
 
 #[test]
-fn a_device_is_somewhere_however_wide_its_range_and_however_weak_or_strong_its_brake() {
+fn moving_device_always_has_a_numeric_value_even_with_extreme_limits() {
     let widest = r#"{"min_value": -1.7e308, "max_value": 1.7e308, "granularity": 1e292}"#;
     let ordinary = r#"{"min_value": -90, "max_value": 90, "granularity": 1}"#;
     let weakest = r#"{"min_value": 0, "max_value": 5e-324, "granularity": 5e-324}"#;
@@ -40,7 +40,7 @@ fn a_device_is_somewhere_however_wide_its_range_and_however_weak_or_strong_its_b
 }
 
 #[test]
-fn what_the_fuzzer_begins_from_and_what_it_once_found_keeps_the_invariants() {
+fn fuzzer_seeds_and_earlier_findings_keep_the_invariants() {
     let seeds = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/robot");
     let mut played = 0;
     for entry in std::fs::read_dir(seeds).unwrap() {

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_others_may_read_is_refused() {
+    fn key_readable_by_other_users_is_refused() {
         for mode in [0o600, 0o400, 0o700] {
             assert_eq!(read_of(3, mode, 10), Ok(3), "{mode:o}");
         }
@@ -111,13 +111,13 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_read_whole_or_not_at_all() {
+    fn file_is_read_completely_or_refused() {
         assert_eq!(read_of(10, 0o600, 10), Ok(10));
         assert!(read_of(11, 0o600, 10).is_err_and(|error| error.contains("larger than 10 bytes")));
     }
 
     #[test]
-    fn what_is_no_regular_file_is_not_waited_for() {
+    fn path_without_regular_file_is_refused_without_waiting() {
         for path in [std::env::temp_dir(), "/dev/null".into(), "/no/such/file".into()] {
             assert!(
                 matches!(read_private(&path), Err(KeyFileError::Unreadable { .. })),

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn each_version_of_a_file_is_read_once_and_only_a_later_one_replaces_the_one_in_use() {
+    fn each_version_is_read_once_and_replaces_only_an_earlier_one() {
         let file = File::new("read");
         let modified = std::fs::metadata(&file.0).unwrap().modified().unwrap();
         let watched = Watched::new(&file.0, read).unwrap();
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_version_is_stored_and_an_older_one_is_refused() {
+    fn newer_version_is_stored_and_older_version_is_refused() {
         let file = File::new("stored");
         let watched = Watched::new(&file.0, read).unwrap();
         let stored = || std::fs::read_to_string(&file.0).unwrap();

@@ -216,13 +216,13 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_runs_before_others_only_if_that_was_granted() {
+    fn thread_is_real_time_only_if_that_was_granted() {
         let scheduling = |realtime| Scheduling { realtime, locked: no() }.is_realtime();
         assert!(scheduling(yes("SCHED_FIFO")) && !scheduling(no()));
     }
 
     #[test]
-    fn a_thread_lacks_what_it_asked_for_and_was_not_granted() {
+    fn thread_lacks_a_requested_resource_that_was_not_granted() {
         for (realtime, locked, lacks) in [
             (yes("SCHED_FIFO"), yes("memory locked"), false),
             (Granted::Unasked, Granted::Unasked, false),
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_granted_is_told_in_one_line_and_what_was_not_with_what_would_allow_it() {
+    fn grants_are_shown_in_one_line_and_denials_with_a_remedy() {
         let all = granted(yes("SCHED_FIFO, priority 50"), yes("memory locked"));
         assert_eq!(all, "real-time scheduling (SCHED_FIFO, priority 50), memory locked");
         let nothing = granted(no(), no());
@@ -263,14 +263,14 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_below_the_full_priority_is_taken_as_far_as_it_goes() {
+    fn priority_limit_below_the_full_priority_is_used() {
         let within = |maximum| within(Rlimit { current: Some(0), maximum });
         let limits = [Some(0), Some(20), Some(49), Some(50), Some(99), None];
         assert_eq!(limits.map(within), [None, Some(20), Some(49), None, None, None]);
     }
 
     #[test]
-    fn a_thread_that_asks_for_nothing_gets_a_short_slice_alone() {
+    fn thread_without_real_time_request_gets_only_a_short_slice() {
         let (scheduling, attributes) = std::thread::spawn(|| {
             (Scheduling::of_this_thread(Realtime::Off), uapi::sched_getattr(0, 0).unwrap())
         })
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_asks_is_granted_what_it_says() {
+    fn thread_reports_its_actual_scheduling() {
         let (scheduling, attributes, child) = std::thread::spawn(|| {
             let scheduling = Scheduling::of_this_thread(Realtime::Auto);
             let child = std::thread::spawn(|| uapi::sched_getattr(0, 0).unwrap()).join().unwrap();

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_by_nearest_rank() {
+    fn percentiles_use_the_nearest_rank() {
         let scheduling = Scheduling::of_this_thread(Realtime::Off);
         let wake_up = WakeUp::of(scheduling, (1..=100).rev().map(Span::from_micros).collect());
         assert_eq!(wake_up.median, Span::from_micros(50));
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measurement_tells_what_the_thread_was_granted_and_orders_its_figures() {
+    fn measurement_reports_the_scheduling_and_ordered_figures() {
         let wake_up = WakeUp::measure(Realtime::Off).unwrap();
         assert!(!wake_up.scheduling.lacks_something());
         assert!(

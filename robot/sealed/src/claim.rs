@@ -90,7 +90,7 @@ mod tests {
     use urrcp::Role;
 
     #[test]
-    fn a_claim_has_one_form() {
+    fn claim_has_exactly_one_text_form() {
         let text = "operator anna%20%C3%B6 observe,drive 1795450000 0a:1b";
         let claim: Claim = text.parse().unwrap();
         assert_eq!(claim.name, "anna ö");

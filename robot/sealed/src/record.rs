@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_sealed_can_be_opened_however_it_is_cut() {
+    fn sealed_bytes_can_be_opened_however_they_are_split() {
         let long: Vec<u8> = (0..2 * RECORD_BYTES_MAX + 1).map(|n| n as u8).collect();
         let sealed = records(&[b"one\n", &long, b"two"]).concat();
         assert_eq!(sealed.len(), 4 + long.len() + 3 + 5 * HEAD_BYTES);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_is_altered_repeated_left_out_or_out_of_order_ends_it_all() {
+    fn altered_repeated_missing_or_reordered_record_ends_the_stream() {
         let sealed = records(&[b"zero", b"one", b"two"]);
         let [zero, one, two] = [0, 1, 2].map(|n| &sealed[n]);
         for at in 4..zero.len() {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_that_no_record_has_is_not_waited_for() {
+    fn invalid_record_length_is_refused_without_waiting() {
         for length in [0, 16 * 1024 + 1, u32::MAX] {
             assert_eq!(open(&length.to_be_bytes()), (vec![], Err(BadRecord::Length(length))));
         }
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_has_begun_and_not_ended_is_known_to_be_cut_off() {
+    fn incomplete_record_is_detected() {
         let mut opening = Opening::new(KEY);
         assert!(!opening.is_within_record());
         let sealed = &records(&[b"zero"])[0];

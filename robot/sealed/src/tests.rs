@@ -52,7 +52,7 @@ fn meet(guard: &Guard, held: &Held) -> (Result<Claim, String>, Result<(), String
 }
 
 #[test]
-fn a_robot_and_an_operator_of_one_secret_know_each_other() {
+fn robot_and_operator_with_the_same_secret_authenticate_each_other() {
     let secret = Secret::generate().unwrap();
     let (proof, connected) =
         meet(&guard(&secret), &held(&secret, "cf 1/ö", claim(&[Role::Stop, Role::Observe])));
@@ -69,7 +69,7 @@ fn refused(guard: &Guard, held: &Held, why: &NotSealed) {
 }
 
 #[test]
-fn who_does_not_prove_a_pass_that_counts_is_refused() {
+fn peer_without_proof_of_a_valid_pass_is_refused() {
     let (secret, other) = (Secret::generate().unwrap(), Secret::generate().unwrap());
     let guard = guard(&secret);
     let right = held(&secret, "cf 1/ö", claim(&[Role::Drive]));
@@ -88,7 +88,7 @@ fn who_does_not_prove_a_pass_that_counts_is_refused() {
 }
 
 #[test]
-fn the_list_of_revoked_passes_is_read_for_each_connection_and_a_damaged_one_opens_no_door() {
+fn revoked_pass_is_refused_at_once_and_despite_a_damaged_list() {
     let folder = std::env::temp_dir().join(format!("downbeat-sealed-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("revoked.serials");
@@ -110,7 +110,7 @@ fn the_list_of_revoked_passes_is_read_for_each_connection_and_a_damaged_one_open
 }
 
 #[test]
-fn a_whole_connection_that_is_repeated_proves_nothing() {
+fn replayed_connection_is_refused_as_unproven() {
     let secret = Secret::generate().unwrap();
     let guard = guard(&secret);
     let anna = held(&secret, "cf 1/ö", claim(&[Role::Drive]));
@@ -155,7 +155,7 @@ fn a_whole_connection_that_is_repeated_proves_nothing() {
 }
 
 #[test]
-fn what_speaks_something_else_is_not_waited_for() {
+fn foreign_protocol_is_refused_without_waiting() {
     let guard = guard(&Secret::generate().unwrap());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
@@ -182,7 +182,7 @@ fn what_speaks_something_else_is_not_waited_for() {
 }
 
 #[test]
-fn a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes() {
+fn first_line_is_accepted_up_to_the_maximum_length_in_any_pieces() {
     let guard = guard(&Secret::generate().unwrap());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     for (bytes, is_read) in [(8_192, true), (8_193, false), (10_000, false)] {
@@ -215,7 +215,7 @@ fn a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes() 
 }
 
 #[test]
-fn a_long_message_comes_whole_through_a_narrow_way() {
+fn long_message_passes_completely_through_a_small_buffer() {
     let secret = Secret::generate().unwrap();
     let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));
     let long: Vec<u8> = (0..200_000_u32).map(|n| n as u8).collect();
@@ -242,7 +242,7 @@ fn a_long_message_comes_whole_through_a_narrow_way() {
 
 proptest! {
     #[test]
-    fn a_first_line_is_read_as_it_was_written_whatever_the_names_are(
+    fn first_line_round_trips_with_any_names(
         nonce in any::<[u8; 16]>(),
         robot in "\\PC{1,40}",
         name in "[^\\x00]{1,40}",
@@ -258,7 +258,7 @@ proptest! {
     }
 
     #[test]
-    fn what_no_peer_has_sealed_is_never_heard(raw in proptest::collection::vec(any::<u8>(), 0..200), begin in 0_u8..40) {
+    fn unsealed_bytes_are_never_opened(raw in proptest::collection::vec(any::<u8>(), 0..200), begin in 0_u8..40) {
         let secret = Secret::of_bytes([1; 32]);
         let (_, mut opening) = Keys::of(&secret.pass(&claim(&[])), "hello\n", "answer\n").of_robot();
         opening.push(&[0, 0, 0, begin]);
@@ -269,14 +269,14 @@ proptest! {
     }
 
     #[test]
-    fn any_line_is_judged_without_a_panic(line in "\\PC{0,200}", begun in any::<bool>()) {
+    fn parsing_any_first_line_never_panics(line in "\\PC{0,200}", begun in any::<bool>()) {
         let line = if begun { format!("URRCP-HMAC 1 {line}\n") } else { line };
         let _judged = Hello::read(&line);
     }
 }
 
 #[test]
-fn a_connection_that_ends_within_a_record_has_not_ended_well() {
+fn connection_that_ends_within_a_record_is_an_error() {
     let secret = Secret::generate().unwrap();
     let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -319,7 +319,7 @@ impl Drop for Kept {
 }
 
 #[test]
-fn passes_are_read_as_they_were_written_and_found_by_their_robot() {
+fn passes_round_trip_and_are_found_by_robot() {
     use crate::Passes;
     let secret = Secret::generate().unwrap();
     let (first, second) = (held(&secret, "cf 1/ö", claim(&[Role::Drive])), held(&secret, "cf2", claim(&[])));
@@ -341,7 +341,7 @@ fn passes_are_read_as_they_were_written_and_found_by_their_robot() {
 }
 
 #[test]
-fn a_secret_is_read_as_it_was_written_and_nothing_else_is_one() {
+fn secret_round_trips_and_other_content_is_refused() {
     let secret = Secret::of_bytes([0xa5; 32]);
     let text = secret.text(&"cf 1".parse().unwrap());
     assert_eq!(
@@ -359,7 +359,7 @@ fn a_secret_is_read_as_it_was_written_and_nothing_else_is_one() {
 }
 
 #[test]
-fn keys_are_not_shown() {
+fn debug_output_hides_the_keys() {
     let secret = Secret::generate().unwrap();
     let pass = secret.pass(&claim(&[]));
     let keys = Keys::of(&pass, "hello\n", "answer\n");
@@ -367,7 +367,7 @@ fn keys_are_not_shown() {
 }
 
 #[test]
-fn a_refusal_is_read_as_it_was_written() {
+fn refusal_round_trips() {
     let secret = Secret::generate().unwrap();
     let anna = held(&secret, "cf1", claim(&[Role::Drive]));
     let hello = Hello { nonce: [7; 16], robot: anna.robot.clone(), claim: anna.claim.clone() };
@@ -388,7 +388,7 @@ fn a_refusal_is_read_as_it_was_written() {
 }
 
 #[test]
-fn a_pass_counts_up_to_the_second_in_which_it_expires() {
+fn pass_is_valid_through_the_second_in_which_it_expires() {
     let secret = Secret::generate().unwrap();
     let guard = guard(&secret);
     let expiring = Claim { expires: 1_000, ..claim(&[Role::Drive]) };
@@ -398,7 +398,7 @@ fn a_pass_counts_up_to_the_second_in_which_it_expires() {
 }
 
 #[test]
-fn a_list_that_a_peer_sends_is_stored_only_with_the_code_of_the_authority() {
+fn received_list_is_stored_only_with_the_code_of_the_authority() {
     let path = std::env::temp_dir().join(format!("downbeat-sent-{}", std::process::id()));
     std::fs::write(&path, "# number 5\n# end\n").unwrap();
     let secret = Secret::generate().unwrap();

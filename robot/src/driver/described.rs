@@ -70,14 +70,14 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_calls_itself_otherwise_is_not_the_one_expected() {
+    fn robot_with_another_id_is_not_the_expected_one() {
         let told = |id: &str| fits(&format!(r#"{{"id": "{id}"}}"#), &block("left", 0.0, 1.0));
         assert_eq!(told("r"), Ok(()));
         assert_eq!(told("s"), Err("its id is `s`, expected `r`".into()));
     }
 
     #[test]
-    fn a_robot_with_other_devices_or_ranges_is_not_the_one_expected() {
+    fn robot_with_other_devices_or_ranges_is_not_the_expected_one() {
         let says = |schema: &str, device: &str, min, max| fits(schema, &block(device, min, max));
         assert_eq!(says(SCHEMA, "left", -50.0, 100.0), Ok(()));
         assert_eq!(says(SCHEMA, "lamp", 0.0, 1e9), Ok(()), "no range is told");
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_driver_sets_what_a_number_alone_says() {
+    fn plain_driver_drives_every_control_type_except_script_and_sensor() {
         use ControlType::{Acceleration, Custom, Position, Script, Sensor, Speed};
         assert_eq!([Position, Speed, Acceleration, Custom(3)].map(is_driven), [true; 4]);
         assert_eq!([Script, Sensor].map(is_driven), [false; 2]);

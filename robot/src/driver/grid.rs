@@ -37,7 +37,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_has_no_more_digits_than_its_grid() {
+    fn value_has_at_most_as_many_decimals_as_its_grid() {
         check(0.02, 82.0 * 0.02, "1.64");
         check(0.02, 1.633, "1.64");
         check(0.1, 3.0 * 0.1, "0.3");
@@ -47,13 +47,13 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_or_a_default_value_off_the_grid_is_left_as_it_is() {
+    fn limit_or_default_value_off_the_grid_is_unchanged() {
         check(0.1, -9.05, "-9.05");
         check(0.02, 0.123, "0.123");
     }
 
     #[test]
-    fn a_grid_that_no_decimal_digits_write_is_left_as_it_is() {
+    fn value_on_a_grid_without_decimal_form_is_unchanged() {
         let third = 1.0 / 3.0;
         check(third, 2.0 * third, &(2.0 * third).to_string());
     }

@@ -160,14 +160,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_that_is_read_a_little_differently_was_not_set() {
+    fn small_clock_difference_is_not_a_clock_change() {
         let mut given = Given::default();
         let told = [50, 100, 101, 150, 201, 202, -300].map(|micros| given.ahead(Span::from_micros(micros)));
         assert_eq!(told, [0, 0, 101, 101, 101, 202, -300].map(Span::from_micros));
     }
 
     #[test]
-    fn a_device_follows_a_script_from_its_start_on() {
+    fn device_follows_a_script_from_its_start() {
         let (mut given, now) = (Given::default(), Instant::now());
         let [arm, wheel] = ["arm", "wheel"].map(|id| DeviceId::new(id).unwrap());
         let start = now + Duration::from_secs(1);

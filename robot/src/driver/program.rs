@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn look_ahead_is_of_all_devices_that_move_or_of_those_that_are_named() {
+    fn lookahead_applies_to_all_moving_devices_or_to_the_named_ones() {
         let arm = DeviceId::new("arm").unwrap();
         for (json, expected) in [
             (r#"{"lookahead": "script"}"#, Lookahead::Script),
@@ -475,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_cannot_declare_is_told() {
+    fn error_for_an_invalid_declaration_states_the_reason() {
         for (json, why) in [
             (r#"{"lookahead": "film"}"#, "expected one value for all devices"),
             (
@@ -548,7 +548,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_of_the_first_version_is_told_a_line_a_call() {
+    fn program_of_version_1_receives_one_line_per_call() {
         let mut logged = Logged::new("calls", "hello) echo ok ramps;; 'read eye') echo ' 4.5 ';;");
         let program = &mut logged.program;
         assert!(!program.takes_ramps() && program.lifeline().is_none(), "nothing runs yet");
@@ -567,7 +567,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_may_answer_a_ping_with_the_age_of_the_last_sign_of_life() {
+    fn program_may_answer_a_ping_with_the_age_of_the_last_sign_of_life() {
         let mut logged = Logged::new(
             "signs",
             "ping) n=$((n+1)); case $n in 1) echo ok 40.5;; 2) echo ok;; *) echo ok soon;; esac;;",
@@ -583,7 +583,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_says_no_stays_and_one_that_is_out_of_step_is_away() {
+    fn refusal_keeps_the_program_and_unexpected_answer_makes_it_unavailable() {
         let answers = "'set arm position 8') echo error  too hot;; 'set arm position 9') echo what;;";
         let mut logged = Logged::new("errors", answers);
         let program = &mut logged.program;
@@ -608,7 +608,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_of_the_second_version_is_told_what_it_drives_and_declares_what_it_can_do() {
+    fn program_of_version_2_receives_the_block_and_declares_capabilities() {
         let declares = r#"{"frames": true, "latency_ms": {"arm": 12.5}, "lookahead": "script",
             "samples_per_second": 20, "pings_per_second": 30, "readings_per_second": {"eye": 2}}"#;
         let declares = declares.replace('\n', " ");
@@ -630,7 +630,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_is_told_with_the_indices_of_its_steps_and_continued_by_its_number() {
+    fn script_is_sent_with_step_indices_and_continued_by_its_number() {
         let mut logged = Logged::new("plans", "");
         let step = |at: i64, value| PlanStep { at: Timestamp::from_nanos(at), setpoint: position(value) };
         let part = |first, is_last| PlanPart {
@@ -661,7 +661,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_to_the_first_lines_that_says_nothing_is_told_and_ends_the_program() {
+    fn invalid_answer_to_the_first_lines_is_reported_and_ends_the_program() {
         for (test, answers, why) in [
             ("greets", "hello) echo hi;;", "sent an unexpected answer to `hello`: `hi`"),
             ("three", "hello) echo ok 3;;", "sent an unexpected answer to `hello`: `ok 3`"),
@@ -692,7 +692,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_does_not_answer_in_time_is_ended() {
+    fn program_that_does_not_answer_in_time_is_terminated() {
         let mut logged = Logged::new("late", "ping) ;;");
         logged.program.connect().unwrap();
         logged.program.timeouts.answer = Duration::from_millis(50);
@@ -702,7 +702,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_with_a_space_in_its_id_is_refused() {
+    fn device_id_with_space_or_control_character_is_refused() {
         for (id, is_taken) in [("left arm", false), ("left\\u0007arm", false), ("left-arm", true)] {
             let block = BLOCK.replace(r#""id": "arm""#, &format!(r#""id": "{id}""#));
             let block: InitializationBlock = serde_json::from_str(&block).unwrap();
@@ -711,7 +711,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_of_what_is_declared_are_themselves_allowed() {
+    fn bounds_of_declared_values_are_inclusive() {
         for json in [
             r#"{"lookahead_ms": 20}"#,
             r#"{"lookahead_ms": 60000}"#,

@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn hardware_is_asked_more_often_the_more_depends_on_it_and_at_most_half_of_its_time() {
+    fn ping_rate_rises_with_demand_and_uses_at_most_half_of_the_time() {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, NEAR);
         assert_eq!(pulse.next_ping(begin), begin + IDLE);
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ping_keeps_clear_of_movements_by_what_answers_take_until_it_is_overdue() {
+    fn ping_avoids_movements_by_the_answer_time_until_it_is_overdue() {
         let (mut pulse, begin) = holding(Some(100 * MS));
         assert!(pulse.is_quiet(begin + 97 * MS) && !pulse.is_quiet(begin + 98 * MS));
         pulse.called(4 * MS);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_counts_from_when_something_is_held_and_allows_for_slow_calls_and_readings() {
+    fn held_command_starts_silence_that_allows_slow_calls_and_readings() {
         let (mut pulse, begin) = holding(None);
         pulse.busy(Some(begin));
         assert_eq!(pulse.silence(begin + SILENCE_MAX, SILENCE_MAX), None);
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn time_in_which_a_machine_that_was_held_up_asked_nothing_is_not_silence() {
+    fn time_without_pings_on_a_delayed_machine_is_not_silence() {
         let (mut pulse, begin) = holding(Some(2_000 * MS));
         assert_eq!(pulse.silence(begin + 1_200 * MS, SILENCE_MAX), None, "it was not asked");
         pulse.busy(Some(begin + 1_200 * MS));
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn hardware_that_its_driver_has_not_seen_is_silent_although_the_driver_answers() {
+    fn hardware_unseen_by_its_driver_is_silent_although_the_driver_answers() {
         let (mut pulse, begin) = holding(Some(500 * MS));
         pulse.seen(begin + 100 * MS, 20 * MS);
         pulse.answered(begin + 200 * MS);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_slow_call_is_forgotten() {
+    fn single_slow_call_is_forgotten() {
         let (mut pulse, _) = holding(None);
         pulse.called(500 * MS);
         (0..100).for_each(|_| pulse.called(MS));
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reading_keeps_clear_of_movements_by_more_than_a_ping_does() {
+    fn reading_keeps_more_distance_from_movements_than_a_ping() {
         let (pulse, begin) = holding(Some(100 * MS));
         assert!(pulse.is_quiet_for_readings(begin + 79 * MS));
         assert!(!pulse.is_quiet_for_readings(begin + 80 * MS) && pulse.is_quiet(begin + 80 * MS));
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn what_changes_when_hardware_is_asked_wakes_its_thread() {
+    fn demand_that_changes_the_ping_time_wakes_the_thread() {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, NEAR);
         let held = Demand { held: true, ..Demand::default() };
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_waits_to_be_confirmed_is_asked_for_as_often_as_a_start() {
+    fn hardware_is_pinged_as_often_for_a_confirmation_as_for_a_start() {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, NEAR);
         let confirmation = Demand { held: true, confirmation: true, ..Demand::default() };
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn hardware_that_wants_few_pings_is_overdue_and_silent_later() {
+    fn hardware_with_a_low_ping_rate_is_overdue_and_silent_later() {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, 100 * MS);
         assert_eq!(pulse.next_ping(begin), begin + IDLE);
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_begins_with_what_is_held_and_goes_on_with_more_of_it() {
+    fn silence_begins_with_the_first_held_command_and_continues_with_more() {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, NEAR);
         let held = Demand { held: true, ..Demand::default() };

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_option_for_a_device_comes_before_that_for_all_and_both_before_what_the_driver_declares() {
+    fn device_option_overrides_general_option_and_both_override_the_driver() {
         let id = |id: &str| DeviceId::new(id).unwrap();
         let rates = Rates {
             samples_per_second: BTreeMap::from([(id("arm"), 100.0), (id("leg"), 20.0)]),
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_out_of_bounds_are_taken_as_far_as_they_go() {
+    fn rates_out_of_bounds_are_clamped() {
         let rates = Rates { pings_per_second: Some(1e9), ..Rates::default() };
         assert_eq!(rates.ping_period(&DriverOptions::default()), Duration::from_millis(5));
         let slow = DriverOptions { pings_per_second: Some(0.0), ..DriverOptions::default() };

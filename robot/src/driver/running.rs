@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_says_of_a_plan_is_read() {
+    fn plan_reports_of_a_program_are_parsed() {
         check("started 7 1790000000000000001", Some((7, 1_790_000_000_000_000_001, PlanEvent::Began)));
         check("step 7 2 5", Some((7, 5, PlanEvent::Step(2))));
         check("done 7 5", Some((7, 5, PlanEvent::Done)));
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_word_about_a_plan_is_none() {
+    fn malformed_plan_report_is_not_parsed() {
         for line in [
             "started 7",
             "started x 5",
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_ended_is_told_from_one_that_closed_its_input() {
+    fn ended_program_is_distinguished_from_one_with_closed_input() {
         let stays = "read line; echo ok; exec <&-; sleep 60";
         assert_eq!(said_of(stays, ENDS_WITHIN), "has closed its input");
         // The result does not depend on how long a slow machine takes to end the program.
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_tells_unasked_is_no_answer() {
+    fn unrequested_reports_are_not_taken_as_answers() {
         let (ear, mailbox) = ear();
         assert!(ear.hears("reading eye  4.5"));
         assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(4.5));
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_tells_in_another_form_is_its_fault() {
+    fn malformed_report_is_a_fault_of_the_program() {
         let (ear, mailbox) = ear();
         for (line, expected) in [
             ("reading ear 4.5", "expected `reading SENSOR NUMBER` with a sensor of this robot"),
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_tells_nothing_before_it_may() {
+    fn unrequested_lines_count_as_answers_until_they_are_permitted() {
         let (ear, mailbox) = ear();
         let mut running = Running::start("while read -r line; do echo \"$line\"; done", Some(ear)).unwrap();
         let wait = Duration::from_secs(60);
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_long_line_a_reason_names_the_first_word_alone() {
+    fn error_about_a_long_line_names_only_its_first_word() {
         let mut running = Running::start("sleep 60", None).unwrap();
         let mut reason = |line: &str| running.ask(line, Duration::from_millis(10)).unwrap_err();
         let short = format!("init {}", "x".repeat(SHOWN_MAX - 5));
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_does_not_end_by_itself_is_ended() {
+    fn program_that_does_not_exit_is_killed() {
         let running = Running::start("trap '' TERM; while true; do sleep 1; done", None).unwrap();
         let process = format!("/proc/{}", running.child.id());
         assert!(std::path::Path::new(&process).exists());

@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_driver_is_named_in_three_ways() {
+    fn driver_can_be_specified_in_three_ways() {
         let thrift = |host: &str| DriverSpec::Thrift { host: host.into(), port: 9090 };
         assert_eq!("sim".parse(), Ok(DriverSpec::Simulated));
         assert_eq!("thrift://tank.local:9090".parse(), Ok(thrift("tank.local")));
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_no_driver_is_refused_with_what_would() {
+    fn invalid_driver_is_refused_with_the_valid_forms() {
         for text in ["", "Sim", "tcp://a:1", "thrift://a", "thrift://:9090", "thrift://a:0", "program: "] {
             let error = text.parse::<DriverSpec>().unwrap_err().to_string();
             assert!(error.contains("expected sim, thrift://host:port or program:COMMAND"), "{text}: {error}");

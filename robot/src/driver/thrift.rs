@@ -442,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_the_one_expected_is_told_values_and_asked_for_readings() {
+    fn expected_robot_receives_values_and_reading_requests() {
         let (mut robot, serving) = robot(in_order);
         assert!(robot.lifeline().is_none());
         robot.connect().unwrap();
@@ -456,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_describes_another_one_is_away() {
+    fn robot_that_describes_another_robot_is_unavailable() {
         let other = |call: &str| match call {
             "get_init_schema" => Reply::Text(r#"{"id": "s"}"#),
             call => in_order(call),
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_is_asked_for_its_description_alone() {
+    fn only_the_description_is_requested_from_a_robot() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let serving = std::thread::spawn(move || serve_one(&listener, in_order));
@@ -482,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_says_no_stays_and_is_told_in_its_words() {
+    fn robot_that_refuses_a_call_stays_connected_and_its_reason_is_reported() {
         for (kind, expected) in [
             (ApplicationErrorKind::UnknownMethod, "the robot does not support the call: so it is"),
             (ApplicationErrorKind::InternalError, "the robot reported: so it is"),
@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_that_answers_in_words_is_read_if_they_are_a_number() {
+    fn text_reading_of_a_sensor_is_accepted_if_it_is_a_number() {
         for (text, expected) in [
             (" 7.5 ", Ok(7.5)),
             ("far", Err(DriverError::Refused("`eye` reads `far`, not a number".to_owned()))),
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_of_another_kind_is_no_result() {
+    fn answer_of_another_type_is_no_result() {
         let (mut robot, _serving) = robot(|call| match call {
             "get_sensor_double_value eye" => Reply::Text("7"),
             "get_sensor_string_value eye" => Reply::Double(7.0),
@@ -526,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_not_ready_or_out_of_step_or_gone_is_away() {
+    fn unready_out_of_step_or_disconnected_robot_is_unavailable() {
         let of = |reply: fn() -> Reply| {
             let (mut robot, _serving) =
                 robot(move |call| if call == "ping" { reply() } else { in_order(call) });
@@ -546,7 +546,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_with_several_control_types_is_refused() {
+    fn device_with_several_control_types_is_refused() {
         let more = r#""speed": {"min_value": 0, "max_value": 9, "granularity": 1}, "position""#;
         let block = BLOCK.replace("\"position\"", more);
         let block: InitializationBlock = serde_json::from_str(&block).unwrap();

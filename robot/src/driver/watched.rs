@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_piece_of_news_is_a_sentence_with_what_it_is_about() {
+    fn each_hardware_event_is_a_sentence_with_its_subject() {
         let arm = DeviceId::new("arm").unwrap();
         let latency = BTreeMap::from([(arm.clone(), Duration::from_micros(12_500))]);
         for (event, expected) in [

@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_of_few_idle_robots_is_the_systems_again_when_somebody_connects() {
+    fn new_connection_resets_the_clock_of_few_idle_robots_to_system_time() {
         let hour = Span::from_millis(3_600_000);
         for (robots, is_busy, follows) in
             [(1, false, true), (64, false, true), (65, false, false), (2, true, false)]
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_starts_without_what_it_was_not_granted_unless_that_is_required() {
+    fn host_starts_without_denied_permissions_unless_they_are_required() {
         for (realtime, scheduling, runs) in granted().into_iter().chain(granted_less()) {
             let may_run = realtime != Realtime::Required || !scheduling.lacks_something();
             assert_eq!(runs, may_run, "{realtime:?}: {scheduling}");

@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_stranger_leaves_unread_is_bounded_by_bytes() {
+    fn unread_messages_of_a_stranger_are_limited_in_bytes() {
         let (said, mut heard) = outbox(stranger());
         let block = block(3_000);
         let taken = (0..100).take_while(|_| said.say(block.clone(), || false)).count();
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_owner_of_the_robot_may_leave_more_unread_and_a_part_of_this_process_anything() {
+    fn owner_may_leave_more_unread_and_in_process_peer_is_unlimited() {
         let block = block(3_000);
         let (said, _heard) = outbox(stranger());
         let taken = (0..1_000).take_while(|_| said.say(block.clone(), || true)).count();
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn short_messages_are_bounded_too() {
+    fn unread_short_messages_are_limited() {
         let (said, _heard) = outbox(stranger());
         let ask = Message::AvailabilityRequest(AvailabilityRequest::default());
         let taken = (0..MESSAGES_MAX).take_while(|_| said.say(ask.clone(), || false)).count();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_weighs_as_much_as_its_lists_are_long() {
+    fn weight_of_a_message_grows_with_the_length_of_its_lists() {
         use urrcp::{
             ControlResponse, ControlType, DeviceId, Inquiry, InquiryResponse, Millis, RequestReport,
         };
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_read_is_forgotten_and_the_end_comes_behind_what_was_said() {
+    async fn read_messages_are_released_and_closing_follows_the_last_message() {
         let (said, mut heard) = outbox(stranger());
         let block = block(3_000);
         for _ in 0..10 {

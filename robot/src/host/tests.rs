@@ -85,7 +85,7 @@ async fn response(link: &mut RobotLink) -> ControlResponse {
 }
 
 #[tokio::test]
-async fn a_robot_starts_at_the_instant_set_and_never_early_and_logs_what_it_did() {
+async fn robot_starts_at_the_set_time_never_early_and_logs_its_steps() {
     let file = LogFile::new("starts");
     let options = HostOptions { log: Some(file.0.clone()), ..HostOptions::default() };
     let host = Host::start(arms(1, &Settings::default()), options).unwrap();
@@ -105,7 +105,7 @@ async fn a_robot_starts_at_the_instant_set_and_never_early_and_logs_what_it_did(
 }
 
 #[tokio::test]
-async fn a_hash_that_was_computed_outside_the_precise_thread_is_compared_and_echoed() {
+async fn hash_computed_outside_the_precise_thread_is_compared_and_echoed() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let mut link = host.handle().connect(0).unwrap();
     let Message::ControlRequest(mut request) = paper(60_000.0) else { panic!() };
@@ -118,7 +118,7 @@ async fn a_hash_that_was_computed_outside_the_precise_thread_is_compared_and_ech
 }
 
 #[tokio::test]
-async fn many_robots_due_at_one_instant_all_start() {
+async fn many_robots_due_at_the_same_instant_all_start() {
     let file = LogFile::new("many");
     let options = HostOptions { log: Some(file.0.clone()), ..HostOptions::default() };
     let host = Host::start(arms(300, &Settings::default()), options).unwrap();
@@ -135,7 +135,7 @@ async fn many_robots_due_at_one_instant_all_start() {
 }
 
 #[tokio::test]
-async fn a_host_counts_what_its_robots_do_and_answers_while_its_thread_runs() {
+async fn host_counts_actions_of_its_robots_and_responds_while_running() {
     let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
     let (handle, figures) = (host.handle(), host.figures());
     let mut link = handle.connect(1).unwrap();
@@ -155,7 +155,7 @@ async fn a_host_counts_what_its_robots_do_and_answers_while_its_thread_runs() {
 }
 
 #[tokio::test]
-async fn a_link_to_no_robot_or_to_a_stopped_host_is_refused() {
+async fn connection_to_unknown_robot_or_stopped_host_is_refused() {
     let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
     let handle = host.handle();
     assert_eq!(handle.robots().len(), 2);
@@ -167,7 +167,7 @@ async fn a_link_to_no_robot_or_to_a_stopped_host_is_refused() {
 }
 
 #[tokio::test]
-async fn a_robot_that_disconnects_closes_the_link_after_its_acceptance() {
+async fn robot_with_disconnect_fault_closes_the_connection_after_acceptance() {
     let settings = Settings { fault: Some(Fault::Disconnect), ..Settings::default() };
     let host = Host::start(arms(1, &settings), HostOptions::default()).unwrap();
     let mut link = host.handle().connect(0).unwrap();
@@ -178,7 +178,7 @@ async fn a_robot_that_disconnects_closes_the_link_after_its_acceptance() {
 }
 
 #[tokio::test]
-async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
+async fn peer_that_does_not_read_is_disconnected_without_harm_to_others() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let mut deaf = host.handle().connect(0).unwrap();
     let ping = Message::AvailabilityRequest(AvailabilityRequest::default());
@@ -196,7 +196,7 @@ async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
 }
 
 #[tokio::test]
-async fn a_stranger_that_leaves_too_much_unread_is_hung_up_on_and_counted() {
+async fn stranger_with_too_many_unread_messages_is_disconnected_and_counted() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let stranger = Peer::at("192.0.2.7:1000".parse().unwrap());
     let mut deaf = host.handle().connect_as(0, stranger).unwrap();
@@ -216,7 +216,7 @@ async fn a_stranger_that_leaves_too_much_unread_is_hung_up_on_and_counted() {
 }
 
 #[tokio::test]
-async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
+async fn session_belongs_to_the_proven_name_of_the_peer_that_claims_it() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let named = |name: &str| {
         let peer = Peer::at("192.0.2.7:1000".parse().unwrap()).with_proof(proof(name));
@@ -255,7 +255,7 @@ fn proof(name: &str) -> urrcp::Proof {
 }
 
 #[tokio::test]
-async fn a_log_that_takes_no_more_is_told_and_the_robots_go_on() {
+async fn log_write_failure_is_reported_and_the_robots_continue() {
     let options = HostOptions::default().with_log("/dev/full".into());
     let mut host = Host::start(arms(1, &Settings::default()), options).unwrap();
     let lost = host.log_lost().unwrap();
@@ -272,14 +272,14 @@ async fn a_log_that_takes_no_more_is_told_and_the_robots_go_on() {
 }
 
 #[test]
-fn a_host_does_not_start_with_a_log_that_cannot_be_written() {
+fn host_does_not_start_with_an_unwritable_log() {
     let options = HostOptions::default().with_log("/no/such/folder/log".into());
     let error = Host::start(arms(1, &Settings::default()), options).unwrap_err();
     assert!(matches!(&error, HostError::Log { path, .. } if path.starts_with("/no")), "{error}");
 }
 
 #[tokio::test]
-async fn a_host_without_a_log_has_none_to_lose() {
+async fn host_without_a_log_cannot_lose_it() {
     let mut host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
     assert!(host.log_lost().is_none());
     assert_eq!(host.handle().robots().len(), 2);
@@ -289,7 +289,7 @@ async fn a_host_without_a_log_has_none_to_lose() {
 }
 
 #[tokio::test]
-async fn a_link_that_is_dropped_does_not_count_and_each_link_counts_for_its_robot() {
+async fn connections_are_counted_per_robot_until_they_are_dropped() {
     let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
     let (handle, figures) = (host.handle(), host.figures());
     let links = [handle.connect(0), handle.connect(0), handle.connect(1)];

@@ -130,7 +130,7 @@ fn lease(pending: f64, running: f64) -> Option<StopCondition> {
 const PAPER: [(f64, f64); 3] = [(0.0, 45.0), (1_000.0, 0.0), (2_000.0, 45.0)];
 
 #[test]
-fn the_papers_script_sets_45_0_45_on_absolute_deadlines() {
+fn script_of_the_paper_sets_45_0_45_at_absolute_deadlines() {
     let mut bench = Bench::new();
     bench.until(3);
     bench.request(timed("arm", "a", 1_500.0, script(ControlType::Position, &PAPER)));
@@ -144,7 +144,7 @@ fn the_papers_script_sets_45_0_45_on_absolute_deadlines() {
 }
 
 #[test]
-fn a_start_that_has_passed_is_refused_and_never_started() {
+fn command_with_a_past_start_is_refused_and_never_started() {
     let mut bench = Bench::new();
     bench.until(1_501);
     bench.request(timed("arm", "a", 1_500.0, script(ControlType::Position, &PAPER)));
@@ -154,7 +154,7 @@ fn a_start_that_has_passed_is_refused_and_never_started() {
 }
 
 #[test]
-fn without_an_offset_a_command_starts_at_once() {
+fn command_without_offset_starts_immediately() {
     let mut bench = Bench::new();
     bench.until(70);
     let command = Command::Set(Setpoint::new(ControlType::Position, 30.0));
@@ -175,7 +175,7 @@ fn check_refused(device: &str, command: Command, code: ErrorCode) {
 }
 
 #[test]
-fn what_the_device_does_not_declare_is_refused() {
+fn command_that_the_device_does_not_declare_is_refused() {
     check_refused("leg", script(ControlType::Position, &PAPER), ErrorCode::UnknownDevice);
     check_refused("arm", script(ControlType::Acceleration, &PAPER), ErrorCode::UnsupportedControlType);
     check_refused("arm", script(ControlType::Position, &[(0.0, 90.5)]), ErrorCode::OutOfRange);
@@ -185,7 +185,7 @@ fn what_the_device_does_not_declare_is_refused() {
 }
 
 #[test]
-fn an_unsupported_control_type_sends_the_device_to_its_default_state() {
+fn unsupported_control_type_sends_the_device_to_its_default_state() {
     let unknown = Command::Unknown(Label::new("torque").unwrap());
     for unsupported in [script(ControlType::Acceleration, &PAPER), unknown] {
         let mut bench = Bench::new();
@@ -201,7 +201,7 @@ fn an_unsupported_control_type_sends_the_device_to_its_default_state() {
 }
 
 #[test]
-fn a_stop_by_a_clock_that_is_far_ahead_takes_back_five_seconds_and_no_more() {
+fn stop_with_a_clock_far_ahead_cancels_at_most_five_seconds() {
     let mut bench = Bench::new();
     let mut stop =
         ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
@@ -217,7 +217,7 @@ fn a_stop_by_a_clock_that_is_far_ahead_takes_back_five_seconds_and_no_more() {
 }
 
 #[test]
-fn a_content_hash_that_differs_is_refused() {
+fn different_content_hash_is_refused() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
     request.content_hash = Some(script(ControlType::Position, &[(0.0, 1.0)]).content_hash());
@@ -226,7 +226,7 @@ fn a_content_hash_that_differs_is_refused() {
 }
 
 #[test]
-fn overlapping_scripts_are_refused_and_touching_ones_follow_without_a_gap() {
+fn overlapping_scripts_are_refused_and_adjacent_ones_leave_no_gap() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 2_999.0, script(ControlType::Position, &PAPER)));
@@ -238,7 +238,7 @@ fn overlapping_scripts_are_refused_and_touching_ones_follow_without_a_gap() {
 }
 
 #[test]
-fn a_repeated_request_is_answered_twice_and_executed_once() {
+fn repeated_request_is_answered_twice_and_executed_once() {
     let mut bench = Bench::new();
     let request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
     bench.request(request.clone());
@@ -250,7 +250,7 @@ fn a_repeated_request_is_answered_twice_and_executed_once() {
 }
 
 #[test]
-fn an_empty_script_now_ends_what_runs_and_moves_nothing() {
+fn immediate_empty_script_cancels_all_scripts_and_moves_nothing() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 5_000.0, script(ControlType::Position, &PAPER)));
@@ -265,7 +265,7 @@ fn an_empty_script_now_ends_what_runs_and_moves_nothing() {
 }
 
 #[test]
-fn an_empty_script_later_drops_what_starts_then_and_leaves_the_running_one() {
+fn later_empty_script_cancels_later_starts_and_keeps_the_running_script() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 5_000.0, script(ControlType::Position, &PAPER)));
@@ -276,7 +276,7 @@ fn an_empty_script_later_drops_what_starts_then_and_leaves_the_running_one() {
 }
 
 #[test]
-fn a_pending_script_is_dropped_when_the_server_falls_silent() {
+fn pending_script_is_dropped_when_the_server_is_silent() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(300.0, 300.0);
@@ -290,7 +290,7 @@ fn a_pending_script_is_dropped_when_the_server_falls_silent() {
 }
 
 #[test]
-fn a_lease_that_ends_at_the_very_instant_of_the_start_wins() {
+fn lease_that_ends_at_the_instant_of_the_start_prevents_the_start() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(1_000.0, 1_000.0);
@@ -300,7 +300,7 @@ fn a_lease_that_ends_at_the_very_instant_of_the_start_wins() {
 }
 
 #[test]
-fn every_message_renews_a_lease_and_a_link_that_is_down_does_not() {
+fn every_message_renews_a_lease_and_a_lost_connection_does_not() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(300.0, 300.0);
@@ -316,7 +316,7 @@ fn every_message_renews_a_lease_and_a_link_that_is_down_does_not() {
 }
 
 #[test]
-fn another_servers_messages_renew_nothing() {
+fn messages_of_another_server_renew_no_lease() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(300.0, 300.0);
@@ -329,7 +329,7 @@ fn another_servers_messages_renew_nothing() {
 }
 
 #[test]
-fn a_speed_that_goes_on_after_its_script_still_ends_with_the_lease() {
+fn speed_left_on_after_its_script_still_ends_with_the_lease() {
     let mut bench = Bench::new();
     let mut request = timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 5.0)]));
     request.stop_condition = lease(400.0, 400.0);
@@ -342,7 +342,7 @@ fn a_speed_that_goes_on_after_its_script_still_ends_with_the_lease() {
 }
 
 #[test]
-fn a_linear_device_moves_linearly_and_arrives_on_time() {
+fn linear_device_moves_linearly_and_arrives_on_time() {
     let mut bench = Bench::new();
     bench.request(timed("ramp", "a", 100.0, script(ControlType::Position, &[(500.0, 50.0), (1_000.0, 0.0)])));
     let mut value = |millis| {
@@ -354,7 +354,7 @@ fn a_linear_device_moves_linearly_and_arrives_on_time() {
 }
 
 #[test]
-fn a_linear_device_without_default_value_holds_where_it_is_stopped() {
+fn linear_device_without_default_value_holds_its_position_when_stopped() {
     let mut bench = Bench::new();
     bench.request(timed("ramp", "a", 100.0, script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 80.0)])));
     bench.until(600);
@@ -367,7 +367,7 @@ fn a_linear_device_without_default_value_holds_where_it_is_stopped() {
 }
 
 #[test]
-fn a_sensor_provides_its_reading_and_nothing_else_does() {
+fn only_a_sensor_provides_a_reading() {
     let mut bench = Bench::new();
     bench.robot.set_reading(DeviceId::new("thermometer").unwrap(), 21.5);
     let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
@@ -379,7 +379,7 @@ fn a_sensor_provides_its_reading_and_nothing_else_does() {
 }
 
 #[test]
-fn a_reading_asked_for_twice_is_read_twice_and_takes_no_request_id_from_anybody() {
+fn repeated_reading_is_read_again_and_reserves_no_request_id() {
     let mut bench = Bench::new();
     let mut read = timed("thermometer", "a", 0.0, Command::ReadSensor);
     read.content_hash = Some(Command::ReadSensor.content_hash());
@@ -393,7 +393,7 @@ fn a_reading_asked_for_twice_is_read_twice_and_takes_no_request_id_from_anybody(
 }
 
 #[test]
-fn a_line_that_is_no_message_is_answered_where_an_answer_is_possible() {
+fn undecodable_line_gets_a_control_response_or_availability_response() {
     let mut bench = Bench::new();
     let mut decoder = Decoder::default();
     decoder.push(b"{\"control_request\":{\"device_id\":\"arm\",\"request_id\":\"x\"}}\nnonsense\n");
@@ -425,7 +425,7 @@ fn act() -> impl Strategy<Value = Act> {
 
 proptest! {
     #[test]
-    fn whatever_a_server_does_no_value_outside_the_limits_is_set_and_nothing_starts_late_or_twice(
+    fn values_stay_within_limits_and_no_start_is_late_or_repeated(
         acts in prop::collection::vec(act(), 0..60),
     ) {
         let mut bench = Bench::new();
@@ -473,12 +473,12 @@ proptest! {
 }
 
 #[test]
-fn spans_of_these_tests_are_milliseconds() {
+fn times_in_these_tests_are_in_milliseconds() {
     assert_eq!(at(1) - at(0), Span::from_millis(1));
 }
 
 #[test]
-fn a_line_that_is_no_message_is_answered_with_what_it_names() {
+fn response_to_an_undecodable_line_names_its_device_and_request() {
     let mut decoder = Decoder::default();
     decoder.push(b"{\"control_request\": {\"device_id\": \"arm\", \"request_id\": \"a\"}}\nnonsense\n");
     let mut bench = Bench::new();
@@ -506,7 +506,7 @@ fn a_line_that_is_no_message_is_answered_with_what_it_names() {
 }
 
 #[test]
-fn a_robot_counts_what_it_holds_and_what_has_become_of_it() {
+fn robot_counts_held_commands_and_their_outcomes() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 9_000.0, script(ControlType::Position, &PAPER)));

@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_robot_that_is_asked_in_two_encodings_describes_itself_in_each() {
+    async fn robot_describes_itself_in_each_requested_encoding() {
         let described = Described::default();
         assert_eq!(described.length(), 0);
         // The long description is encoded on another thread.
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_description_is_written_once_and_shared() {
+    async fn description_is_encoded_once_and_shared() {
         let described = Described::default();
         let json = described.bytes(block("r", 3), Encoding::Json).await;
         let packed = described.bytes(block("r", 3), Encoding::MessagePack).await;

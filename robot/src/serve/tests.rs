@@ -86,7 +86,7 @@ impl Peer {
 }
 
 #[tokio::test]
-async fn a_script_over_tcp_is_accepted_started_and_done_and_sets_its_values_in_order() {
+async fn script_over_tcp_reports_its_progress_and_sets_values_in_order() {
     let log = LogFile::new("tcp");
     let (host, address) = served(&log).await;
     let mut peer = Peer::connected(address).await;
@@ -103,7 +103,7 @@ async fn a_script_over_tcp_is_accepted_started_and_done_and_sets_its_values_in_o
 }
 
 #[tokio::test]
-async fn garbage_is_answered_and_the_link_goes_on() {
+async fn garbage_is_answered_and_the_connection_stays_open() {
     let log = LogFile::new("garbage");
     let (_host, address) = served(&log).await;
     let mut peer = Peer::connected(address).await;
@@ -145,7 +145,7 @@ impl Listener {
 }
 
 #[tokio::test]
-async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
+async fn robot_answers_in_the_encoding_of_the_last_received_message() {
     let log = LogFile::new("encodings");
     let (_host, address) = served(&log).await;
     let stream = TcpStream::connect(address).await.unwrap();
@@ -171,7 +171,7 @@ async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
 }
 
 #[tokio::test]
-async fn a_peer_that_sends_without_reading_harms_only_itself() {
+async fn peer_that_sends_without_reading_affects_only_itself() {
     let log = LogFile::new("flood");
     let (_host, address) = served(&log).await;
     let mut flood = TcpStream::connect(address).await.unwrap();
@@ -205,7 +205,7 @@ fn is_accepted(message: &Message) -> bool {
 }
 
 #[tokio::test]
-async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
+async fn connection_beyond_the_limit_waits_for_a_place() {
     let log = LogFile::new("limit");
     let (_host, address) = served(&log).await;
     let mut peers = all_places_taken(address).await;
@@ -218,7 +218,7 @@ async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
 }
 
 #[tokio::test]
-async fn who_claims_a_free_robot_comes_before_those_that_claim_nothing() {
+async fn peer_that_claims_a_free_robot_has_priority_over_those_that_do_not() {
     let log = LogFile::new("claim");
     let (host, address) = served(&log).await;
     let _peers = all_places_taken(address).await;
@@ -255,7 +255,7 @@ fn with_session(message: Message, session: &str) -> Message {
 }
 
 #[tokio::test]
-async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop() {
+async fn strangers_that_hold_all_places_cannot_block_owner_or_its_stop() {
     let log = LogFile::new("owner-first");
     let (host, address) = served(&log).await;
     let first = Peer::owner(address).await;
@@ -289,7 +289,7 @@ async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop(
 }
 
 #[tokio::test]
-async fn a_connection_that_brings_no_message_in_time_is_closed_whatever_it_drips() {
+async fn connection_without_a_valid_message_in_time_is_closed() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     // The limit is long enough for peers that send a message in time, however busy the machine is.
     let patience = Patience { first_message: Duration::from_secs(4), ..PATIENT };
@@ -318,7 +318,7 @@ async fn a_connection_that_brings_no_message_in_time_is_closed_whatever_it_drips
 }
 
 #[tokio::test]
-async fn a_stranger_ends_each_message_in_time_and_the_owner_takes_its_time() {
+async fn stranger_must_finish_each_message_in_time_and_owner_need_not() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let patience = Patience { message: Duration::from_millis(200), ..PATIENT };
     let (host, address) = served_as(host, patience).await;
@@ -335,7 +335,7 @@ async fn a_stranger_ends_each_message_in_time_and_the_owner_takes_its_time() {
 }
 
 #[tokio::test]
-async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() {
+async fn one_host_cannot_use_more_than_its_share_of_the_connections() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = Places::new(host.handle(), 0, Duration::from_secs(30)).unwrap();
     let admitted = |address: &str| {
@@ -358,7 +358,7 @@ async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() 
 }
 
 #[tokio::test]
-async fn the_owners_own_dead_connections_give_their_places_up() {
+async fn dead_connections_of_the_owner_release_their_places() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let patience = Patience { silence: Duration::from_millis(300), ..PATIENT };
     let (_host, address) = served_as(host, patience).await;
@@ -385,7 +385,7 @@ fn malformed(message: &Message) -> Option<&str> {
 const MANY_STEPS: u32 = 100_000;
 
 #[tokio::test]
-async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
+async fn line_length_limit_depends_on_the_owner_of_the_robot() {
     let robots = arms_with_steps(1, MANY_STEPS, &Settings::default());
     let (host, address) = served_as(Host::start(robots, HostOptions::default()).unwrap(), PATIENT).await;
     let mut stranger = Peer::connected(address).await;
@@ -421,7 +421,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
 }
 
 #[tokio::test]
-async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
+async fn free_robot_reads_at_most_two_long_lines_at_a_time() {
     let robots = arms_with_steps(1, MANY_STEPS, &Settings::default());
     let host = Host::start(robots, HostOptions::default()).unwrap();
     let patience = Patience { message: Duration::from_millis(500), ..PATIENT };
@@ -446,7 +446,7 @@ async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
 }
 
 #[tokio::test]
-async fn a_free_robot_reads_no_line_longer_than_its_longest_command_from_a_stranger() {
+async fn free_robot_limits_strangers_lines_to_its_longest_command() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let (host, address) = served_as(host, PATIENT).await;
     let mut stranger = Peer::connected(address).await;
@@ -459,7 +459,7 @@ async fn a_free_robot_reads_no_line_longer_than_its_longest_command_from_a_stran
 }
 
 #[tokio::test]
-async fn a_claim_with_a_long_line_behind_it_is_waited_for_on_a_slow_link() {
+async fn long_line_waits_for_the_claim_before_it_on_a_slow_link() {
     let delay = Some((urrcp::Span::from_millis(200), urrcp::Span::from_millis(200)));
     let host = Host::start(arms(1, &Settings { delay, ..Settings::default() }), HostOptions::default());
     let (_host, address) = served_as(host.unwrap(), PATIENT).await;
@@ -473,7 +473,7 @@ async fn a_claim_with_a_long_line_behind_it_is_waited_for_on_a_slow_link() {
 }
 
 #[tokio::test]
-async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
+async fn flooding_strangers_are_throttled_and_the_owner_is_not() {
     let log = LogFile::new("flooded");
     let (host, address) = served(&log).await;
     let mut owner = Peer::owner(address).await;
@@ -508,7 +508,7 @@ async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
 }
 
 #[tokio::test]
-async fn a_stop_is_obeyed_however_many_are_connected() {
+async fn stop_is_obeyed_even_when_all_connections_are_taken() {
     let log = LogFile::new("stop-beyond");
     let (_host, address) = served(&log).await;
     let mut peers = all_places_taken(address).await;
@@ -531,7 +531,7 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
 }
 
 #[tokio::test]
-async fn a_peer_that_has_long_been_silent_makes_room_for_one_that_waits() {
+async fn long_silent_peer_is_replaced_by_a_waiting_one() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let patience = Patience { silence: Duration::from_secs(1), ..PATIENT };
     let (host, address) = served_as(host, patience).await;
@@ -556,7 +556,7 @@ async fn a_peer_that_has_long_been_silent_makes_room_for_one_that_waits() {
 }
 
 #[tokio::test]
-async fn a_connection_without_a_place_is_told_who_the_robot_is_and_may_stop_it_and_nothing_else() {
+async fn connection_without_a_place_can_only_identify_and_stop_the_robot() {
     let log = LogFile::new("no-place");
     let (_host, address) = served(&log).await;
     let mut peers = all_places_taken(address).await;
@@ -588,7 +588,7 @@ async fn a_connection_without_a_place_is_told_who_the_robot_is_and_may_stop_it_a
 }
 
 #[test]
-fn a_listener_goes_on_after_what_passes_and_ends_with_what_does_not() {
+fn listener_continues_after_transient_errors_and_ends_on_others() {
     use rustix::io::Errno;
     for passing in [Errno::CONNABORTED, Errno::MFILE, Errno::NFILE, Errno::NOBUFS] {
         assert!(is_passing(&passing.into()), "{passing}");
@@ -597,7 +597,7 @@ fn a_listener_goes_on_after_what_passes_and_ends_with_what_does_not() {
 }
 
 #[tokio::test]
-async fn a_listener_ends_when_its_host_has_stopped() {
+async fn listener_ends_when_its_host_has_stopped() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let handle = host.handle();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -616,7 +616,7 @@ async fn a_listener_ends_when_its_host_has_stopped() {
 
 #[cfg(feature = "tls")]
 #[test]
-fn what_tls_finds_altered_is_told_from_what_the_peer_says_itself() {
+fn altered_data_is_distinguished_from_tls_alerts_of_the_peer() {
     use rustls::{AlertDescription, Error};
     let of = |error: Error| io::Error::new(io::ErrorKind::InvalidData, error);
     assert!(is_altered(&of(Error::DecryptError)));
@@ -626,7 +626,7 @@ fn what_tls_finds_altered_is_told_from_what_the_peer_says_itself() {
 }
 
 #[tokio::test]
-async fn a_connection_speaks_for_the_session_that_it_named_in_whatever_message() {
+async fn connection_acts_for_the_session_named_in_any_of_its_messages() {
     let log = LogFile::new("speaks-for");
     let (_host, address) = served(&log).await;
     let mut owner = Peer::connected(address).await;
@@ -649,7 +649,7 @@ async fn a_connection_speaks_for_the_session_that_it_named_in_whatever_message()
 }
 
 #[tokio::test]
-async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
+async fn long_script_is_compared_with_its_hash_like_a_short_one() {
     let log = LogFile::new("long-hash");
     let (_host, address) = served(&log).await;
     let mut owner = Peer::owner(address).await;

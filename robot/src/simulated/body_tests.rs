@@ -83,13 +83,13 @@ fn shows(robot: &mut SimulatedRobot, expected: &[(i64, f64)]) {
 }
 
 #[test]
-fn a_ramp_is_followed_after_the_latency() {
+fn body_follows_a_ramp_after_its_latency() {
     let mut robot = moving("linear", |_| {});
     shows(&mut robot, &[(0, 0.0), (39, 0.0), (40, 0.0), (65, 2.5), (140, 10.0), (500, 10.0)]);
 }
 
 #[test]
-fn a_first_order_lag_stays_behind_a_ramp_by_its_time_constant() {
+fn first_order_lag_trails_a_ramp_by_its_time_constant() {
     let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(10));
     // The position on the ramp is 10 * (t - T + T exp(-t/T)) / 100.
     let on_ramp = |t: f64| 0.1 * (t - 10.0 + 10.0 * (-t / 10.0).exp());
@@ -99,21 +99,21 @@ fn a_first_order_lag_stays_behind_a_ramp_by_its_time_constant() {
 }
 
 #[test]
-fn a_step_is_followed_by_a_first_order_lag() {
+fn body_follows_a_step_with_first_order_lag() {
     let mut robot = moving("hold", |moves| moves.time_constant = Span::from_millis(10));
     let lagged = 10.0 * (1.0 - (-1.0_f64).exp());
     shows(&mut robot, &[(139, 0.0), (140, 0.0), (150, lagged), (400, 10.0)]);
 }
 
 #[test]
-fn the_sensor_shows_the_body_of_when_it_was_asked_and_answers_later() {
+fn delayed_sensor_response_shows_body_at_time_of_request() {
     let mut robot = moving("linear", |moves| moves.delay = Span::from_millis(30));
     let (value, answered) = read(&mut robot, 65);
     assert!((value - 2.5).abs() < 1e-6 && answered == at(95), "{value} at {answered:?}");
 }
 
 #[test]
-fn noise_has_its_deviation_and_the_sensor_its_range() {
+fn sensor_noise_has_its_deviation_and_stays_in_range() {
     let mut robot = moving("linear", |moves| moves.noise = 0.5);
     let values: Vec<f64> = (0..400).map(|index| read(&mut robot, 500 + index).0).collect();
     let mean = values.iter().sum::<f64>() / 400.0;
@@ -124,7 +124,7 @@ fn noise_has_its_deviation_and_the_sensor_its_range() {
 }
 
 #[test]
-fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
+fn movement_starts_vary_within_spread_and_are_reproducible_by_seed() {
     let begin = |seed: u64| {
         let mut robot = moving("linear", |moves| moves.spread = Span::from_millis(6));
         robot.bodies[0] = body::MovedBody::new(
@@ -143,7 +143,7 @@ fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
 }
 
 #[test]
-fn what_is_told_within_the_latency_is_followed_in_its_order() {
+fn commands_within_the_latency_are_followed_in_order() {
     let mut robot = moving("hold", |_| {});
     let steps = [(0.0, 2.0), (20.0, 6.0)].map(|(offset, value)| {
         Step::new(Millis::new(offset).unwrap(), Setpoint::new(ControlType::Position, value))
@@ -156,7 +156,7 @@ fn what_is_told_within_the_latency_is_followed_in_its_order() {
 }
 
 #[test]
-fn a_body_that_was_never_told_anything_is_where_its_device_rests() {
+fn body_without_commands_is_at_the_rest_position_of_its_device() {
     let mut robot = moving("linear", |_| {});
     let mut unmoved = robot.restarted(at(0));
     unmoved.bodies[0] =
@@ -166,7 +166,7 @@ fn a_body_that_was_never_told_anything_is_where_its_device_rests() {
 }
 
 #[test]
-fn a_body_whose_device_is_stopped_goes_on_for_its_latency_and_stays() {
+fn body_of_a_stopped_device_continues_for_its_latency_then_rests() {
     let mut robot = moving("linear", |_| {});
     read(&mut robot, 90);
     let stop = ControlRequest::immediate(id("arm"), Command::Script(Script::cancel()));
@@ -175,7 +175,7 @@ fn a_body_whose_device_is_stopped_goes_on_for_its_latency_and_stays() {
 }
 
 #[test]
-fn each_movement_has_a_latency_of_its_own_and_its_steps_have_the_same() {
+fn each_movement_has_its_own_latency_shared_by_its_steps() {
     let mut robot = moving("hold", |moves| {
         moves.spread = Span::from_millis(30);
         moves.latency = Span::from_millis(100);
@@ -203,7 +203,7 @@ fn each_movement_has_a_latency_of_its_own_and_its_steps_have_the_same() {
 }
 
 #[test]
-fn a_lag_follows_one_ramp_into_the_next_without_a_jump() {
+fn lag_follows_consecutive_ramps_without_a_jump() {
     let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(20));
     let values: Vec<f64> = (0..400).map(|millis| read(&mut robot, millis).0).collect();
     // The position changes by at most 0.1 per millisecond. It is never ahead of the ramp, never moves backwards, and reaches the target.
@@ -218,7 +218,7 @@ fn a_lag_follows_one_ramp_into_the_next_without_a_jump() {
 }
 
 #[test]
-fn a_body_that_is_looked_at_late_has_slowed_down_at_the_end_of_its_way() {
+fn body_read_late_has_slowed_down_at_the_end_of_its_movement() {
     let moves = Moves {
         device: id("arm"),
         latency: Span::from_millis(20),
@@ -244,7 +244,7 @@ fn a_body_that_is_looked_at_late_has_slowed_down_at_the_end_of_its_way() {
 }
 
 #[test]
-fn a_body_is_moved_by_positions_alone() {
+fn body_is_moved_only_by_positions() {
     let mut robot = moving("linear", |_| {});
     let setpoint = Setpoint::new(ControlType::Speed, 9.0);
     let motion = crate::device::Motion::Set(setpoint);
@@ -255,7 +255,7 @@ fn a_body_is_moved_by_positions_alone() {
 }
 
 #[test]
-fn a_body_remembers_sixteen_thousand_movements_that_it_has_not_begun() {
+fn body_remembers_at_most_16384_pending_movements() {
     for (further, begun) in [(16_383, 1.0), (16_384, 0.0)] {
         let moves =
             Moves { latency: Span::from_millis(1_000), ..moving("hold", |_| {}).bodies[0].moves.clone() };

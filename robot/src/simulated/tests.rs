@@ -23,7 +23,7 @@ fn robot(settings: Settings) -> SimulatedRobot {
 }
 
 #[test]
-fn hardware_is_looked_after_at_its_wake_ups_and_at_any_time_once_it_is_silent() {
+fn hardware_is_checked_at_its_wakeups_and_at_any_time_once_silent() {
     let block = robot(Settings::default()).robot().block().clone();
     let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
     let mut out = Vec::new();
@@ -80,7 +80,7 @@ fn run(robot: &mut SimulatedRobot, until: Timestamp<True>) -> Vec<(Timestamp<Tru
 }
 
 #[test]
-fn a_simulated_robot_and_an_edge_say_that_they_answer_inquiries() {
+fn simulated_robot_and_edge_declare_inquiry_support() {
     let simulated = robot(Settings::default());
     let block = InitializationBlock { inquiry: false, ..simulated.robot().block().clone() };
     let edge = crate::Robot::driven(block);
@@ -88,7 +88,7 @@ fn a_simulated_robot_and_an_edge_say_that_they_answer_inquiries() {
 }
 
 #[test]
-fn jitter_moves_what_an_inquiry_is_told_of_the_clock() {
+fn jitter_affects_the_clock_in_an_inquiry_response() {
     let mut robot = robot(Settings { jitter: Span::from_millis(5), ..Settings::default() });
     robot.receive(at(0), LINK, Input::Message(Message::Inquiry(urrcp::Inquiry::default())));
     let left = run(&mut robot, at(1_000));
@@ -113,7 +113,7 @@ fn words(left: &[(Timestamp<True>, Outgoing)]) -> Vec<String> {
 }
 
 #[test]
-fn a_perfect_robot_sets_each_step_at_its_true_time() {
+fn perfect_robot_sets_each_step_at_its_true_time() {
     let mut robot = robot(Settings::default());
     robot.receive(at(0), LINK, paper(1_500.0, "a"));
     let left = run(&mut robot, at(9_000));
@@ -125,7 +125,7 @@ fn a_perfect_robot_sets_each_step_at_its_true_time() {
 }
 
 #[test]
-fn ntp_hides_offset_and_drift_but_for_its_error() {
+fn ntp_hides_offset_and_drift_except_for_its_error() {
     let error = Span::from_micros(40);
     let mut robot = robot(Settings {
         clock_offset: Span::from_millis(300),
@@ -141,7 +141,7 @@ fn ntp_hides_offset_and_drift_but_for_its_error() {
 }
 
 #[test]
-fn without_ntp_offset_and_drift_show() {
+fn clock_without_ntp_shows_offset_and_drift() {
     let settings = Settings {
         clock_offset: Span::from_millis(300),
         drift_ppm: 100.0,
@@ -161,7 +161,7 @@ fn without_ntp_offset_and_drift_show() {
 }
 
 #[test]
-fn the_true_time_of_a_robots_instant_is_its_first_whatever_the_drift() {
+fn robot_time_maps_to_its_first_true_instant_for_any_drift() {
     for drift_ppm in [-100_000.0, -333.3, 0.0, 17.0, 100_000.0, f64::NAN] {
         let clock_offset = Span::from_millis(-123);
         let mut robot = robot(Settings { clock_offset, drift_ppm, ntp_error: None, ..Settings::default() });
@@ -179,7 +179,7 @@ fn the_true_time_of_a_robots_instant_is_its_first_whatever_the_drift() {
 }
 
 #[test]
-fn a_start_at_the_end_of_time_hangs_nothing() {
+fn start_at_the_end_of_time_does_not_hang() {
     for seed in 0..8 {
         let mut robot =
             robot(Settings { ntp_error: Some(Span::from_millis(5)), seed, ..Settings::default() });
@@ -192,7 +192,7 @@ fn a_start_at_the_end_of_time_hangs_nothing() {
 }
 
 #[test]
-fn every_message_is_delayed_each_way_and_keeps_its_order() {
+fn messages_are_delayed_in_both_directions_and_keep_their_order() {
     let delay = Some((Span::from_millis(10), Span::from_millis(80)));
     let mut robot = robot(Settings { delay, seed: 3, ..Settings::default() });
     for i in 0..200 {
@@ -216,7 +216,7 @@ fn every_message_is_delayed_each_way_and_keeps_its_order() {
 }
 
 #[test]
-fn jitter_moves_what_the_robot_states_and_not_what_it_does() {
+fn jitter_affects_reported_times_and_not_actions() {
     let mut robot = robot(Settings { jitter: Span::from_micros(500), seed: 5, ..Settings::default() });
     robot.receive(at(0), LINK, ping(0));
     let left = run(&mut robot, at(0));
@@ -242,7 +242,7 @@ fn check_fault(fault: Fault, expected: &[&str], sets: usize) {
 }
 
 #[test]
-fn faults_refuse_or_stay_silent_or_disconnect_right_after_the_acceptance() {
+fn faults_refuse_stay_silent_or_disconnect_right_after_acceptance() {
     check_fault(Fault::Refuse, &["Failed busy"], 0);
     check_fault(Fault::Silent, &[], 0);
     // The command's lease of five seconds still runs; a new connection is closed.
@@ -250,7 +250,7 @@ fn faults_refuse_or_stay_silent_or_disconnect_right_after_the_acceptance() {
 }
 
 #[test]
-fn a_faulty_robot_still_answers_what_the_fault_does_not_concern() {
+fn faulty_robot_still_answers_requests_unaffected_by_its_fault() {
     for fault in [Fault::Refuse, Fault::Silent, Fault::Disconnect] {
         let mut robot = robot(Settings { fault: Some(fault), ..Settings::default() });
         robot.receive(at(0), LINK, ping(0));
@@ -259,7 +259,7 @@ fn a_faulty_robot_still_answers_what_the_fault_does_not_concern() {
 }
 
 #[test]
-fn a_flood_closes_its_own_link_and_is_forgotten() {
+fn flood_closes_only_its_own_link_and_is_discarded() {
     let delay = Some((Span::from_millis(50), Span::from_millis(50)));
     let mut robot = robot(Settings { delay, ..Settings::default() });
     for i in 0..2 * i64::try_from(TRAVELLING_MAX).unwrap() {
@@ -274,7 +274,7 @@ fn a_flood_closes_its_own_link_and_is_forgotten() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_run() {
+fn same_seed_gives_the_same_run() {
     let run_of = |seed| {
         let delay = Some((Span::ZERO, Span::from_millis(80)));
         let ntp_error = Some(Span::from_micros(100));
@@ -289,7 +289,7 @@ fn the_same_seed_gives_the_same_run() {
 }
 
 #[test]
-fn a_robot_is_idle_once_nothing_is_held_and_nothing_travels() {
+fn robot_is_idle_without_held_commands_or_messages_in_transit() {
     let delay = Some((Span::from_millis(10), Span::from_millis(10)));
     let mut travelling = robot(Settings { delay, ..Settings::default() });
     assert!(travelling.is_idle());
@@ -304,7 +304,7 @@ fn a_robot_is_idle_once_nothing_is_held_and_nothing_travels() {
 }
 
 #[test]
-fn a_robot_that_is_restarted_has_forgotten_all_but_its_sensors_and_its_clock() {
+fn restarted_robot_keeps_only_its_sensors_and_its_clock() {
     let settings = Settings {
         clock_offset: Span::from_millis(300),
         drift_ppm: 1_000.0,
@@ -327,7 +327,7 @@ fn a_robot_that_is_restarted_has_forgotten_all_but_its_sensors_and_its_clock() {
 
 #[cfg(feature = "host")]
 #[test]
-fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
+fn movement_needs_precise_waiting_and_message_delivery_does_not() {
     let delay = Some((Span::from_millis(10), Span::from_millis(10)));
     let mut robot = robot(Settings { delay, ..Settings::default() });
     robot.advance(at(0), &mut Vec::new());
@@ -344,7 +344,7 @@ fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
 
 #[cfg(feature = "host")]
 #[test]
-fn movements_do_not_overtake_a_message_that_comes_before_them() {
+fn movements_do_not_overtake_an_earlier_message() {
     let mut robot = robot(Settings::default());
     robot.advance(at(0), &mut Vec::new());
     robot.receive(at(0), LINK, paper(1_000.0, "a"));
@@ -356,7 +356,7 @@ fn movements_do_not_overtake_a_message_that_comes_before_them() {
 }
 
 #[test]
-fn a_start_does_not_take_place_when_simulated_hardware_has_been_silent_for_longer_than_is_borne() {
+fn start_fails_if_simulated_hardware_has_been_silent_too_long() {
     for (dies_at, expected) in [(850, "Started"), (849, "Failed internal")] {
         let block = robot(Settings::default()).robot().block().clone();
         let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
@@ -373,7 +373,7 @@ fn a_start_does_not_take_place_when_simulated_hardware_has_been_silent_for_longe
 }
 
 #[test]
-fn a_fault_can_be_replaced_while_a_robot_runs() {
+fn fault_can_be_replaced_while_a_robot_runs() {
     let mut robot = robot(Settings { fault: Some(Fault::Silent), ..Settings::default() });
     assert_eq!(robot.replace_fault(Some(Fault::Refuse)), Some(Fault::Silent));
     assert_eq!(robot.replace_fault(None), Some(Fault::Refuse));
@@ -382,7 +382,7 @@ fn a_fault_can_be_replaced_while_a_robot_runs() {
 }
 
 #[test]
-fn simulated_hardware_that_is_lost_ends_what_runs_and_answers_no_reading_until_it_is_found() {
+fn lost_simulated_hardware_provides_no_reading_until_it_is_found() {
     let block = r#"{"id": "r", "api_version": "1", "devices": [
         {"id": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
     let block: InitializationBlock = serde_json::from_str(block).unwrap();
@@ -411,7 +411,7 @@ fn simulated_hardware_that_is_lost_ends_what_runs_and_answers_no_reading_until_i
 }
 
 #[test]
-fn a_delay_lies_between_its_bounds_and_is_never_negative() {
+fn delay_is_within_its_bounds_and_never_negative() {
     for (least, largest, expected) in [(30, 30, 30..=30), (30, 10, 30..=30), (-20, -10, 0..=0), (5, 9, 5..=9)]
     {
         let delay = Some((Span::from_millis(least), Span::from_millis(largest)));
@@ -423,7 +423,7 @@ fn a_delay_lies_between_its_bounds_and_is_never_negative() {
 }
 
 #[test]
-fn a_drift_that_no_clock_has_is_bounded() {
+fn unrealistic_drift_is_limited() {
     for (drift_ppm, expected) in [(50.0, 50e-6), (1e9, 0.1), (-1e9, -0.1)] {
         let robot = robot(Settings { drift_ppm, ..Settings::default() });
         assert!((robot.drift() - expected).abs() < 1e-12, "{drift_ppm}");

@@ -59,7 +59,7 @@ impl Drop for Folder {
 }
 
 #[test]
-fn an_identity_file_says_whose_it_is_and_what_its_owner_may_do() {
+fn identity_file_contains_name_and_roles_of_its_owner() {
     let folder = Folder::new();
     let anna = folder.credentials("anna");
     assert_eq!(anna.identity().name.to_string(), "operator anna");
@@ -73,7 +73,7 @@ fn an_identity_file_says_whose_it_is_and_what_its_owner_may_do() {
 }
 
 #[test]
-fn an_identity_is_written_as_the_uris_that_it_is_read_from() {
+fn identity_is_written_as_the_uris_it_is_read_from() {
     let roles = [Role::Stop, Role::Drive].into_iter().collect();
     let uris = Identity::uris(&Name::Operator("anna ö/1".to_owned()), &roles);
     assert_eq!(uris, ["urrcp:operator:anna%20%C3%B6%2F1", "urrcp:role:drive", "urrcp:role:stop"]);
@@ -82,7 +82,7 @@ fn an_identity_is_written_as_the_uris_that_it_is_read_from() {
 }
 
 #[test]
-fn a_file_that_is_no_identity_is_refused_with_what_it_lacks() {
+fn invalid_identity_file_is_rejected_with_a_specific_reason() {
     let folder = Folder::new();
     let anna = std::fs::read_to_string(folder.copy("anna.pem", "anna")).unwrap();
     let parts: Vec<&str> = anna.split_inclusive("-----\n").collect();
@@ -107,7 +107,7 @@ fn a_file_that_is_no_identity_is_refused_with_what_it_lacks() {
 }
 
 #[test]
-fn a_statement_is_of_the_operator_that_has_signed_it() {
+fn statement_is_attributed_to_the_operator_that_signed_it() {
     let folder = Folder::new();
     let witness = Witness::new(folder.credentials("robot"), None).unwrap();
     assert_eq!(witness.identity().name.to_string(), "robot r0");
@@ -122,7 +122,7 @@ fn a_statement_is_of_the_operator_that_has_signed_it() {
 }
 
 #[test]
-fn a_statement_of_a_robot_or_of_another_authority_does_not_count() {
+fn statement_of_a_robot_or_of_another_authority_is_rejected() {
     let folder = Folder::new();
     let witness = Witness::new(folder.credentials("robot"), None).unwrap();
     let signed = |name| folder.credentials(name).sign(b"stop").unwrap();
@@ -134,7 +134,7 @@ fn a_statement_of_a_robot_or_of_another_authority_does_not_count() {
 }
 
 #[test]
-fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_damaged_later() {
+fn statement_of_revoked_operator_is_rejected_even_if_list_is_damaged() {
     let folder = Folder::new();
     let witness = Witness::new(folder.credentials("robot"), Some(folder.list())).unwrap();
     let signed = folder.credentials("anna").sign(b"stop").unwrap();
@@ -167,7 +167,7 @@ async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
 }
 
 #[tokio::test]
-async fn a_door_lets_in_operators_of_its_authority_alone() {
+async fn only_operators_of_its_own_authority_are_admitted() {
     let folder = Folder::new();
     let guard = Guard::new(folder.credentials("robot"), None).unwrap();
     assert_eq!(guard.identity().name.to_string(), "robot r0");
@@ -176,7 +176,7 @@ async fn a_door_lets_in_operators_of_its_authority_alone() {
 }
 
 #[tokio::test]
-async fn only_a_later_list_of_the_same_authority_replaces_the_list_in_use() {
+async fn only_a_newer_list_of_the_same_authority_replaces_the_current_list() {
     let folder = Folder::new();
     let guard = Guard::new(folder.credentials("robot"), Some(folder.list())).unwrap();
     let anna = folder.credentials("anna");
@@ -206,7 +206,7 @@ async fn only_a_later_list_of_the_same_authority_replaces_the_list_in_use() {
 }
 
 #[test]
-fn a_list_of_another_authority_is_refused_at_the_start() {
+fn revocation_list_of_another_authority_is_refused_at_the_start() {
     let folder = Folder::new();
     for foreign in ["of-another-authority.pem", "forged.pem"] {
         let list = Revoked::in_file(&folder.copy(foreign, "revoked.pem")).unwrap();
@@ -221,7 +221,7 @@ fn a_list_of_another_authority_is_refused_at_the_start() {
 }
 
 #[test]
-fn a_list_knows_whom_it_revokes_and_when_the_next_one_is_due() {
+fn revocation_list_states_revoked_keys_and_when_the_next_list_is_due() {
     let folder = Folder::new();
     let anna = folder.credentials("anna").identity().serial.clone();
     let read = |name: &str| {
@@ -236,7 +236,7 @@ fn a_list_knows_whom_it_revokes_and_when_the_next_one_is_due() {
 }
 
 #[test]
-fn a_list_that_a_peer_sends_is_stored_only_if_it_is_a_later_one_of_the_authority() {
+fn received_list_is_stored_only_if_newer_and_of_the_same_authority() {
     let folder = Folder::new();
     let guard = Guard::new(folder.credentials("robot"), Some(folder.list())).unwrap();
     let text = |name: &str| std::fs::read_to_string(folder.copy(name, "sent")).unwrap();

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn multicast_is_off_unless_the_file_says_otherwise() {
+    fn multicast_is_off_unless_enabled_in_the_file() {
         let enabled = |json5: &str| parse(json5).unwrap().get_json("scouting/multicast/enabled").unwrap();
         assert_eq!(enabled("{}"), "false");
         assert_eq!(enabled("{scouting: {multicast: {enabled: true}}}"), "true");
@@ -119,14 +119,14 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_zenoh_are_told_without_lines_of_its_source() {
+    fn zenoh_errors_are_reported_without_source_locations() {
         let said = "Unable to connect to any of [a]!  at /x/orchestrator.rs:447. - Caused by refused at /x/link.rs:9.";
         assert_eq!(without_places(said), "Unable to connect to any of [a]: refused");
         assert_eq!(without_places("no router available"), "no router available");
     }
 
     #[test]
-    fn who_only_connects_may_do_so_several_times() {
+    fn only_a_client_without_a_fixed_id_may_join_several_times() {
         let may = |json5: &str| may_be_joined_again(&parse(json5).unwrap());
         assert!(may(r#"{mode: "client", connect: {endpoints: ["tcp/127.0.0.1:7447"]}}"#));
         assert!(!may(r#"{mode: "client", id: "a1"}"#), "two members of one network have two ids");
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn endpoints_without_tls_beyond_this_machine_are_open() {
+    fn non_local_endpoint_without_tls_is_open() {
         let open = |json5: &str| open_endpoint(&parse(json5).unwrap());
         assert_eq!(open(r#"{mode: "client", connect: {endpoints: ["tls/router.example:7447"]}}"#), None);
         assert_eq!(
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_used_is_named_with_the_reason() {
+    fn error_for_an_unusable_file_names_the_file_and_the_reason() {
         let missing = read(Path::new("/nowhere/zenoh.json5")).unwrap_err().to_string();
         assert!(missing.contains("/nowhere/zenoh.json5: No such file"), "{missing}");
         let wrong = parse("{mode: 7}").unwrap_err().to_string();

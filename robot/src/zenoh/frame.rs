@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_frame_is_read_as_it_was_written_and_nothing_else_is_a_frame() {
+    fn frame_round_trips_and_other_bytes_are_rejected() {
         let frame = Frame { number: 258, read: u64::MAX, next: Next::End, part: None, content: b"abc" };
         let bytes = frame.encode();
         assert_eq!(Frame::decode(&bytes), Some(frame));
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_goes_in_at_one_of_the_bytes_and_is_never_empty() {
+    fn part_is_inserted_within_the_content_and_is_never_empty() {
         let part = Part { text: ContentHash::of(b"text"), from: 1, count: 2, at: 3 };
         let frame = Frame { number: 1, read: 2, next: Next::More, part: Some(part), content: b"abc" };
         let bytes = frame.encode();

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_has_chunks_and_no_wildcards() {
+    fn key_has_chunks_and_no_wildcards() {
         for right in ["a", "hall-2/arm-1", "a/b/c.d", "höhle/1"] {
             assert_eq!(right.parse::<Key>().map(|key| key.to_string()).as_deref(), Ok(right));
         }
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_next_to_a_robot_has_the_same_place() {
+    fn sibling_keys_of_a_robot_share_its_place() {
         let key = |key: &str| key.parse::<Key>().unwrap();
         assert_eq!(key("site/hall/arm").robots_beside(), "site/hall/*/robot/*");
         assert_eq!(key("site/hall/arm").scheduler("7"), "site/hall/scheduler/7");
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_audiences_of_a_robot_are_read_as_they_were_attached_and_nothing_else_is() {
+    fn audiences_round_trip_and_other_attachments_are_ignored() {
         let read = |text: &str| asked_to_hear(Some(&ZBytes::from(text)));
         assert_eq!(asks_to_hear(&[]), None);
         assert_eq!(read(&asks_to_hear(&[0, 7, u32::MAX]).unwrap()), [0, 7, u32::MAX]);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_id_of_a_connection_is_read_as_it_was_written() {
+    fn connection_id_round_trips_and_invalid_ids_are_rejected() {
         let link = LinkId::new("f00d", 258).unwrap();
         assert_eq!(LinkId::decode(&link.encode()), Some(link));
         assert_eq!(link.to_string().parse(), Ok(link));

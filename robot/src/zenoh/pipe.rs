@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_in_order_and_then_the_end() {
+    fn written_bytes_are_read_in_order_followed_by_the_end() {
         let (mut near, mut far) = (Pipe::default(), Pipe::default());
         for words in [&b"one"[..], b"two"] {
             receive(&mut far, &written(&mut near, words));
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_is_lost_repeated_or_overtaken_breaks_the_connection_behind_what_came() {
+    fn lost_duplicate_or_overtaken_frame_breaks_connection_after_valid_data() {
         for order in [&[0_usize, 2][..], &[0, 0], &[1], &[0, 2, 1]] {
             let (mut near, mut far) = (Pipe::default(), Pipe::default());
             let frames: Vec<_> = (0..3).map(|i| written(&mut near, &[b'a' + i])).collect();
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_that_is_slow_holds_its_writer_back_and_its_progress_is_told() {
+    fn slow_reader_throttles_its_writer_and_reports_its_progress() {
         let (mut near, mut far) = (Pipe::default(), Pipe::default());
         let piece = vec![7; CONTENT_MAX];
         let mut sent = 0;
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_keep_to_the_window_or_speaks_otherwise_is_cut_off() {
+    fn peer_that_exceeds_window_or_sends_invalid_frame_is_disconnected() {
         let mut far = Pipe::default();
         let content = vec![0; WINDOW + 1];
         receive(
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_that_was_published_is_read_where_it_goes_in_and_holds_back_what_is_behind_it() {
+    fn published_text_is_read_at_its_position_and_holds_back_later_bytes() {
         let (mut near, mut far) = (Pipe::default(), Pipe::default());
         let (bytes, text, hash) = (b"<>\n", b"a script", ContentHash::of(b"a script"));
         let frames = written_around(&mut near, bytes, 1, text);
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_text_goes_through_the_window_in_parts() {
+    fn long_text_passes_through_the_window_in_parts() {
         let (mut near, mut far) = (Pipe::default(), Pipe::default());
         let text: Vec<u8> = (0..WINDOW + 9).map(|i| u8::try_from(i % 251).unwrap()).collect();
         let hash = ContentHash::of(&text);
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_that_does_not_come_or_is_too_short_breaks_the_connection_and_the_other_side_is_told_which() {
+    fn missing_or_short_text_breaks_connection_and_reason_is_reported() {
         for (fills, told) in [(false, "did not receive a script"), (true, "has lost a message")] {
             let (mut near, mut far) = (Pipe::default(), Pipe::default());
             let part = Part { text: ContentHash::of(b"text"), from: 1, count: 4, at: 1 };
@@ -485,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_that_is_longer_than_the_window_is_not_waited_for() {
+    fn part_longer_than_the_window_breaks_the_connection() {
         let mut far = Pipe::default();
         let part = Part { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
         let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
@@ -494,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_that_breaks_wakes_both_who_read_and_who_write() {
+    fn broken_connection_wakes_reader_and_writer() {
         let mut pipe = Pipe::default();
         assert_eq!(read(&mut pipe, 1), None);
         pipe.break_off("it is gone");

@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_has_left_once_none_of_its_tokens_is_there() {
+    fn robot_has_left_once_none_of_its_tokens_remains() {
         let (tokens, key) = (Tokens::default(), "hall/arm".parse::<Key>().unwrap());
         assert!(!tokens.have_left(&key), "nothing is known of it");
         tokens.change("hall/arm/robot/1", false);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_ends_with_its_token_and_with_no_other() {
+    fn connection_ends_only_with_its_own_token() {
         let (tokens, pipe) = (Tokens::default(), Shared::default());
         let following = tokens.follow("hall/scheduler/1", &pipe);
         tokens.change("hall/scheduler/1", true);
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_kept_of_a_token_that_was_never_seen() {
+    fn nothing_is_kept_of_a_token_never_seen() {
         let (tokens, pipe) = (Tokens::default(), Shared::default());
         let following = tokens.follow("hall/scheduler/1", &pipe);
         drop(pipe);

@@ -39,7 +39,7 @@ async fn soon<T>(what: impl Future<Output = T>) -> T {
 }
 
 #[tokio::test]
-async fn bytes_go_both_ways_and_the_end_is_read_behind_them() {
+async fn bytes_are_sent_in_both_directions_and_followed_by_the_end() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let mut near = soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
@@ -57,7 +57,7 @@ async fn bytes_go_both_ways_and_the_end_is_read_behind_them() {
 }
 
 #[tokio::test]
-async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
+async fn key_without_a_robot_and_key_in_use_give_different_errors() {
     let (robots, schedulers) = two();
     let _arm = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     // Checked before any connection, as robots do. A session that has connected to robots observes their tokens, and Zenoh may then
@@ -70,7 +70,7 @@ async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
 }
 
 #[tokio::test]
-async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
+async fn robots_are_distributed_among_sessions_that_all_reach_them() {
     let port = free_port();
     let robots = Networks::open_with_sessions_of(&listening(port), 2).unwrap();
     let listening: Vec<_> = (0..5).map(|_| robots.for_one_more()).collect();
@@ -108,7 +108,7 @@ fn way_for_one(port: u16) -> (u16, Arc<AtomicUsize>) {
 }
 
 #[test]
-fn if_no_further_session_can_be_had_all_robots_share_the_last_and_none_waits_for_another() {
+fn robots_share_last_session_without_delay_if_no_other_can_be_opened() {
     let port = free_port();
     let _robots = Network::open_with(&listening(port)).unwrap();
     let (way, turned_away) = way_for_one(port);
@@ -123,7 +123,7 @@ fn if_no_further_session_can_be_had_all_robots_share_the_last_and_none_waits_for
 }
 
 #[test]
-fn a_session_hears_sixteen_schedulers_at_each_of_its_places() {
+fn session_subscribes_to_at_most_sixteen_schedulers_per_place() {
     let network = Network::open_with(&listening(free_port())).unwrap();
     let key_of = |place: usize, scheduler: usize| format!("hall/{place}/shared/{scheduler:x}");
     let all = |place: usize| (0..HEARINGS_MAX).map(move |scheduler| key_of(place, scheduler));
@@ -134,7 +134,7 @@ fn a_session_hears_sixteen_schedulers_at_each_of_its_places() {
 }
 
 #[tokio::test]
-async fn while_many_connections_are_being_opened_others_wait_but_no_stop_does() {
+async fn connections_wait_while_many_are_being_opened_but_stops_do_not() {
     let (robots, schedulers) = two();
     let (arm, _listener) = (key("a"), Listener::bind(&robots, key("a")).await.unwrap());
     let mut opening = Vec::new();
@@ -149,7 +149,7 @@ async fn while_many_connections_are_being_opened_others_wait_but_no_stop_does() 
 }
 
 #[tokio::test]
-async fn much_goes_through_a_small_window_and_arrives_whole() {
+async fn large_data_passes_intact_through_a_small_window() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
     let mut near = soon(connect(&schedulers, &key("a"), Urgency::None)).await.unwrap();
@@ -168,7 +168,7 @@ async fn much_goes_through_a_small_window_and_arrives_whole() {
 }
 
 #[tokio::test]
-async fn connections_end_when_a_process_of_either_side_does() {
+async fn connections_end_when_a_process_of_either_side_ends() {
     for robot_goes in [true, false] {
         let (robots, schedulers) = two();
         let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
@@ -186,7 +186,7 @@ async fn connections_end_when_a_process_of_either_side_does() {
 }
 
 #[tokio::test]
-async fn a_stop_does_not_wait_behind_much_that_is_not_read() {
+async fn stop_does_not_wait_behind_unread_data() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
     let mut near = soon(connect(&schedulers, &key("a"), Urgency::None)).await.unwrap();
@@ -201,7 +201,7 @@ async fn a_stop_does_not_wait_behind_much_that_is_not_read() {
 }
 
 #[tokio::test]
-async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
+async fn connections_to_one_robot_receive_only_their_own_frames() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let mut pairs = Vec::new();
@@ -227,7 +227,7 @@ async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
 }
 
 #[tokio::test]
-async fn a_robot_that_has_left_and_come_back_is_reached_again() {
+async fn robot_that_left_and_returned_is_reached_again() {
     let (robots, schedulers) = two();
     let listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
@@ -304,7 +304,7 @@ async fn sharing(schedulers: &Network, listener: &mut Listener) -> (Stream, Stre
 }
 
 #[tokio::test]
-async fn a_text_for_several_robots_is_published_once_and_read_by_all_where_it_goes_in() {
+async fn text_for_several_robots_is_published_once_and_inserted_by_each() {
     let (robots, schedulers) = two();
     let published = heard(&robots, "hall/shared/*/*");
     let frames = heard(&robots, "hall/*/to");
@@ -324,7 +324,7 @@ async fn a_text_for_several_robots_is_published_once_and_read_by_all_where_it_go
 }
 
 #[tokio::test]
-async fn a_robot_that_has_missed_what_was_published_asks_for_it() {
+async fn robot_requests_a_publication_that_it_missed() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let (near, far) = sharing(&schedulers, &mut listener).await;
@@ -336,7 +336,7 @@ async fn a_robot_that_has_missed_what_was_published_asks_for_it() {
 }
 
 #[tokio::test]
-async fn a_robot_whose_process_starts_later_asks_for_what_was_published_before() {
+async fn robot_started_later_requests_an_earlier_publication() {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let here = format!(r#"{{mode: "router", listen: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
     let there = format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
@@ -354,7 +354,7 @@ async fn a_robot_whose_process_starts_later_asks_for_what_was_published_before()
 }
 
 #[tokio::test]
-async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries_all_by_itself() {
+async fn missing_text_ends_connection_and_next_one_carries_all_data_itself() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let (near, far) = sharing(&schedulers, &mut listener).await;
@@ -385,7 +385,7 @@ async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries
 }
 
 #[tokio::test]
-async fn what_another_session_publishes_changes_nothing() {
+async fn foreign_publications_change_nothing() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let (near, far) = sharing(&schedulers, &mut listener).await;
@@ -401,7 +401,7 @@ async fn what_another_session_publishes_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_text_goes_to_its_audience_alone() {
+async fn text_is_published_only_to_its_audience() {
     let (robots, schedulers) = two();
     let published = heard(&robots, "hall/shared/*/7");
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
@@ -415,7 +415,7 @@ async fn a_text_goes_to_its_audience_alone() {
 }
 
 #[tokio::test]
-async fn only_connections_to_robots_that_hear_what_is_published_may_name_it() {
+async fn only_connections_to_subscribed_robots_may_refer_to_publications() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let plain = soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_is_asked_for_once_and_fills_all_who_wait_for_it_and_no_others() {
+    fn text_is_requested_once_and_fills_only_the_connections_that_await_it() {
         let mut texts = Texts::default();
         let ((first, hash), (second, _), (other, another)) =
             (waiting_for(b"text"), waiting_for(b"text"), waiting_for(b"other"));
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_hash_to_something_else_fill_nothing() {
+    fn bytes_with_a_different_hash_fill_nothing() {
         let mut texts = Texts::default();
         let (pipe, hash) = waiting_for(b"text");
         texts.supply(hash, &pipe);
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_is_bounded_in_bytes_and_in_number_and_the_newest_stays() {
+    fn kept_texts_are_bounded_in_bytes_and_number_and_the_newest_remains() {
         let (mut texts, long) = (Texts::default(), vec![0; TEXT_MAX - 8]);
         for i in 0..20_u64 {
             hear(&mut texts, &[&i.to_le_bytes()[..], &long].concat());
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn who_names_more_texts_than_may_be_waited_for_is_cut_off() {
+    fn connection_that_names_too_many_awaited_texts_is_disconnected() {
         let mut texts = Texts::default();
         let waiting: Vec<_> = (0..AWAITED_MAX).map(|i| waiting_for(&i.to_le_bytes())).collect();
         assert!(waiting.iter().all(|(pipe, hash)| texts.supply(*hash, pipe) == Supply::Ask));

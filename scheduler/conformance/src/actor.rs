@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn values_lie_on_the_grid_and_within_the_limits_also_where_these_are_off_the_grid() {
+    fn values_are_on_grid_and_within_limits_even_if_limits_are_off_grid() {
         let actor = actor(r#""position":{"min_value":-0.07,"max_value":0.32,"granularity":0.05}"#);
         let (low, high) = actor.edges();
         assert!((low + 0.05).abs() < 1e-12 && (high - 0.3).abs() < 1e-12, "{low} {high}");
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_default_outside_of_what_scripts_may_use_is_not_where_it_rests() {
+    fn default_outside_script_limits_is_not_the_rest_value() {
         let actor = actor(
             r#""position":{"min_value":0,"max_value":90,"granularity":1},
                "script":{"min_value":40,"max_value":60,"granularity":1,"max_number_of_steps":8}"#,

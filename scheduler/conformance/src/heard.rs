@@ -155,23 +155,23 @@ mod tests {
     const OK: &str = r#""status":"OK""#;
 
     #[test]
-    fn without_ids_answers_go_to_the_oldest_open_request_and_reports_to_the_oldest_held_one() {
+    fn responses_without_ids_are_assigned_to_oldest_open_or_held_request() {
         check(&["a", "b"], &[ACCEPTED, ACCEPTED, STARTED, DONE, STARTED, DONE], &[3, 3]);
         check(&["a", "b"], &[ACCEPTED, STARTED, ACCEPTED, STARTED, DONE], &[3, 2]);
     }
 
     #[test]
-    fn a_stop_is_answered_after_the_reports_of_what_it_ended() {
+    fn stop_is_answered_after_the_reports_of_the_commands_it_ended() {
         check(&["a", "b", "stop"], &[ACCEPTED, ACCEPTED, CANCELLED, CANCELLED, OK], &[2, 2, 1]);
     }
 
     #[test]
-    fn what_was_taken_back_before_it_was_held_is_refused() {
+    fn request_cancelled_before_it_was_held_is_refused() {
         check(&["a"], &[CANCELLED], &[1]);
     }
 
     #[test]
-    fn an_id_names_its_request_whatever_else_is_open() {
+    fn response_with_an_id_is_assigned_to_its_request_whatever_else_is_open() {
         check(&["a", "b"], &[r#""status":"Accepted","request_id":"b""#, ACCEPTED], &[1, 1]);
         check(&["a"], &[r#""status":"Accepted","request_id":"strange""#], &[0]);
     }

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_line_is_cut_between_characters_and_its_length_told() {
+    fn long_line_is_cut_between_characters_and_shows_its_length() {
         let line = "\u{44f}".repeat(500);
         let text = shown(&line);
         assert!(text.ends_with("... (1000 bytes)"), "{text}");

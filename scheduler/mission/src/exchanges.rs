@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_counts_once_and_only_to_a_question_that_was_asked() {
+    fn response_is_accepted_once_and_only_for_a_sent_request() {
         let mut exchanges = Exchanges::default();
         [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
         for never_asked in [-60_000, 9, 11, 30] {
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_question_in_several_messages_is_answered_as_often() {
+    fn request_in_several_messages_can_be_answered_as_many_times() {
         let mut exchanges = Exchanges::default();
         exchanges.asked(at(10), 2);
         exchanges.asked(at(10), 1);
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_repeats_no_question_answers_the_oldest_one() {
+    fn response_without_echoed_time_matches_oldest_request() {
         let mut exchanges = Exchanges::default();
         [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
         let delays: Vec<_> = (0..3).map(|_| answered(&mut exchanges, None, (25, 25), 30)).collect();
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_may_repeat_the_question_in_the_units_in_which_it_counts() {
+    fn robot_may_repeat_the_time_of_a_request_in_its_own_resolution() {
         let asked = at(10) + Span::from_nanos(123_456);
         for (told, understood) in
             [(123_456, true), (123_000, true), (0, true), (124_000, true), (123_455, false)]
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_cannot_be_true_mean_nothing() {
+    fn responses_with_impossible_times_are_ignored() {
         for (received, told, possible) in [
             (10, 10, true),
             (10, 19, true),
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_and_old_questions_are_forgotten() {
+    fn memory_is_bounded_and_old_requests_are_forgotten() {
         let mut exchanges = Exchanges::default();
         (0..100_000).for_each(|asked| exchanges.asked(at(asked), 1));
         assert_eq!(exchanges.open.len(), OPEN_MAX);

@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_of_every_kind_keeps_to_the_schema_of_reports_and_is_read_back() {
+    fn every_failure_kind_matches_report_schema_and_is_read_back() {
         let kinds: Vec<_> = std::iter::successors(after(None), |kind| after(Some(kind))).collect();
         let mut schema: serde_json::Value = serde_json::from_str(crate::report::SCHEMA).unwrap();
         schema["properties"] = serde_json::json!({"failure": {"$ref": "#/$defs/failure"}});
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_would_help_is_advised() {
+    fn only_helpful_advice_is_given() {
         let silent = |awaited: &str| {
             FailureKind::Silent { awaited: awaited.to_owned(), within: Span::from_millis(5_000) }.to_string()
         };

@@ -58,7 +58,7 @@ mod tests {
     use crate::FailureKind;
 
     #[test]
-    fn a_robot_that_fails_a_million_times_is_listed_a_few_times_and_counted() {
+    fn repeated_failures_of_a_robot_are_counted_and_only_a_few_listed() {
         let mut failures = Failures::default();
         let robot = RobotId::new("r").unwrap();
         let of = |kind| Failure { robot: robot.clone(), kind };

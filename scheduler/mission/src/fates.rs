@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_act_is_counted_each_time_that_it_is_played_and_keeps_its_last_fate() {
+    fn act_counts_each_play_and_keeps_its_last_fate() {
         let mut course = ActCourse::default();
         for (fate, played) in
             [(ActFate::Played, 1), (ActFate::NobodyLeft, 1), (ActFate::Played, 2), (ActFate::Stopped, 2)]

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn another_latency_than_was_compensated_is_told_with_the_line_that_compensates_it() {
+    fn latency_difference_is_reported_with_the_setting_that_compensates_it() {
         use LatencySource::{File, Fleet, Robot};
         assert_eq!(
             differs(Some(42), None, None).unwrap(),
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn of_many_devices_a_few_are_shown_and_the_others_counted() {
+    fn few_of_many_devices_are_shown_and_the_rest_counted() {
         let device = |index: usize| OtherLatency {
             device: format!("d{index}").parse().unwrap(),
             declared: Span::from_millis(42),

@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_lateness_counts_for_five_to_ten_seconds() {
+    fn largest_lateness_is_remembered_for_five_to_ten_seconds() {
         let mut lateness = Lateness::new(at(0));
         is_called(&mut lateness, 10, 34);
         is_called(&mut lateness, 50, 52);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_call_ahead_of_time_shows_nothing_and_a_standstill_counts_as_the_longest_delay() {
+    fn early_call_has_no_lateness_and_lateness_of_a_stall_is_capped() {
         let mut lateness = Lateness::new(at(0));
         lateness.asks(at(0), Some(at(20)));
         lateness.called(at(5));

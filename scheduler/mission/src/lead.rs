@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_very_slow_link_does_not_make_the_show_wait_without_bound() {
+    fn very_slow_link_delays_the_show_by_a_bounded_time() {
         assert_eq!(
             needed(Span::from_millis(10_000), 6_000).prepare,
             needed(Span::from_millis(500), 6_000).prepare
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_lead_gives_the_answers_more_time() {
+    fn longer_lead_gives_responses_more_time() {
         let needed = needed(Span::from_millis(1), 6_000);
         let stretched = needed.stretched_to(Span::from_millis(5_000));
         assert_eq!(stretched.total(), Span::from_millis(5_000));

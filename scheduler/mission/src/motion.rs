@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_change_of_value_is_what_is_watched() {
+    fn first_change_of_value_is_watched() {
         let ms = Span::from_millis;
         let linear = movement(&[(0, 5.0), (200, 5.0), (1_200, 45.0), (1_300, 0.0)], true).unwrap();
         let expected =
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spread_of_motions_has_the_uncertainty_of_the_first_and_the_last() {
+    fn motion_spread_includes_uncertainty_of_first_and_last_motion() {
         let motion = |error: Option<i64>| MotionReport {
             robot: "r".parse().unwrap(),
             device: "d".parse().unwrap(),
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_is_asked_one_question_at_a_time_from_before_the_movement_until_after_it() {
+    fn sensor_gets_one_request_at_a_time_from_before_to_after_the_movement() {
         let start = Timestamp::from_nanos(10_000_000_000);
         let begins = start + Span::from_millis(100);
         let mut watched = watched();
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_is_planned_when_its_command_and_its_latency_say() {
+    fn planned_motion_time_follows_from_command_and_latency() {
         let start = Timestamp::from_nanos(10_000_000_000);
         let robot = crate::bench::robot("r0", crate::bench::Tells::Everything, 2);
         let report = watched().report(start, &robot);
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_shows_what_lies_within_its_range_and_other_devices_show_nothing() {
+    fn sensor_has_its_declared_range_and_other_devices_have_none() {
         let device = |controls: &str| -> Device {
             serde_json::from_str(&format!(r#"{{"id": "d", "available_control_types": {{{controls}}}}}"#))
                 .unwrap()
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_sensor_shows_later_by_its_delay_began_earlier_by_that() {
+    fn sensor_delay_is_subtracted_from_the_motion_onset() {
         let start = Timestamp::from_nanos(10_000_000_000);
         let robot = crate::bench::robot("r0", crate::bench::Tells::Everything, 2);
         let error = |delay: i64| {

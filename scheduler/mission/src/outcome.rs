@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_delay_that_is_none_is_not_told_as_zero() {
+    fn zero_delay_is_reported_without_a_number() {
         let told = |by| Outcome::CommitmentLate { by }.to_string();
         let begin = "not started: this machine or its disk was delayed, and the commitment came ";
         assert_eq!(told(Span::ZERO), format!("{begin}too late; {LESS_TO_DO}"));

@@ -364,7 +364,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_that_is_busy_is_not_free_and_one_that_is_not_available_otherwise_lacks_its_hardware() {
+    fn busy_fails_the_free_check_and_other_errors_the_hardware_check() {
         let not_available = |code| FailureKind::NotAvailable { error: ControlError::new(code, "why") };
         assert_eq!(column(&not_available(ErrorCode::Busy)), Check::Free);
         assert_eq!(column(&not_available(ErrorCode::Internal)), Check::Hardware);

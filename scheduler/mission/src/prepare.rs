@@ -494,7 +494,7 @@ mod tests {
     use crate::{Event, MissionOptions, Participant};
 
     #[test]
-    fn what_has_to_travel_is_estimated_from_its_steps_and_requests() {
+    fn upload_size_is_estimated_from_steps_and_requests() {
         let robots = [robot("r0", Tells::Everything, 2)];
         let bytes = |scripts: &[(&str, i64, i64)]| {
             request_bytes(&Act::new(played(&[scripts]), 0, 0, &robots, at(0), None), at(0))
@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_that_follows_comes_later_by_as_much_as_a_measured_clock_has_gone_back() {
+    fn following_act_is_delayed_by_as_much_as_a_measured_clock_went_back() {
         let millis = Span::from_millis;
         for (acts, clock, ahead, slip) in [
             (2, ClockMode::Measured, 3, 4),
@@ -538,7 +538,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_whose_usual_round_trip_is_not_known_is_waited_for_until_its_answer_is_due() {
+    fn link_with_unknown_round_trip_is_awaited_until_its_response_is_due() {
         let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
         let known_at = |mission: &Mission| mission.links_known_at(&mission.acts[0]);
         mission.robots[0].questions.asked(at(10));
@@ -555,7 +555,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_plays_before_an_act_if_it_has_something_of_one_ahead_of_it() {
+    fn robot_plays_before_an_act_if_it_has_scripts_of_an_earlier_one() {
         let mut mission = plays(0, ClockMode::Ntp, Span::ZERO);
         mission.robots[0].block = robot("r0", Tells::Everything, 2).block;
         mission.options.greeting = Greeting::Skip;
@@ -575,7 +575,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_whose_round_trip_is_unknown_has_longer_to_accept() {
+    fn robot_with_unknown_round_trip_has_longer_to_accept() {
         let lead = |measured: bool, lead| {
             let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
             mission.options.lead = lead;

@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_without_a_name_belongs_to_the_oldest_reading_of_its_device_although_it_is_forgotten() {
+    fn response_without_id_belongs_to_oldest_reading_even_if_forgotten() {
         let mut owed = owed();
         let mut answered = |device| owed.take_answered(&provides(device, None, Status::Provide));
         assert_eq!(answered("a"), None);
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_with_a_name_belongs_to_that_reading() {
+    fn response_with_id_belongs_to_that_reading() {
         let mut owed = owed();
         assert_eq!(owed.take_answered(&provides("a", Some("2"), Status::Provide)), Some(Reading::Wait(2)));
         assert_eq!(owed.take_answered(&provides("a", Some("3"), Status::Provide)), None);
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_reading_or_a_refusal_answers_a_reading_without_a_name() {
+    fn only_a_value_or_refusal_answers_a_reading_without_id() {
         let is_answered = |status: Status| owed().take_answered(&provides("b", None, status)).is_some();
         assert!(is_answered(Status::Provide) && is_answered(Status::Failed));
         assert!(!is_answered(Status::Accepted) && !is_answered(Status::Started) && !is_answered(Status::Ok));

@@ -90,7 +90,7 @@ mod tests {
     use crate::clock::ClockSample;
 
     #[test]
-    fn on_a_link_whose_delays_are_equal_sending_takes_a_round_trip_and_a_quarter() {
+    fn sending_on_a_symmetric_link_takes_one_and_a_quarter_round_trips() {
         let mut robot = bench::robot("r0", Tells::Everything, 2);
         for sent in [0, 20, 40] {
             let there = bench::by_robot(at(sent + 4));
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_may_end_later_by_a_clock_that_is_behind_and_by_a_late_wake_up() {
+    fn script_end_may_be_late_by_clock_lag_and_late_wake_up() {
         let mut robot = bench::robot("r0", Tells::Answers, 2);
         assert_eq!(late(&robot, at(0)), Span::ZERO);
         robot.settings.wake_up = ms(50);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_whose_link_is_too_slow_for_its_second_script_is_refused_before_anything_moves() {
+    fn robot_with_link_too_slow_for_second_script_is_refused_before_motion() {
         for (queue, round_trip, refused) in
             [(1, ms(8), false), (1, ms(8) + Span::from_micros(1), true), (2, ms(200), false)]
         {
@@ -155,14 +155,13 @@ mod tests {
     }
 
     #[test]
-    fn an_act_waits_for_the_slowest_link() {
+    fn act_waits_for_the_slowest_link() {
         assert_eq!(greeted(1, [ms(8), ms(40)]).longest_sending(at(1_000)), ms(50));
         assert_eq!(greeted(1, [ms(40), ms(8)]).longest_sending(at(1_000)), ms(50));
     }
 
     #[test]
-    fn a_robot_that_does_not_report_is_sent_a_script_after_the_end_of_the_one_before_was_awaited_and_asked_for()
-     {
+    fn sending_time_of_non_reporting_robot_includes_wait_for_previous_end() {
         for (tells, takes) in [
             (Tells::Everything, ms(10)),
             (Tells::Reports, ms(10)),
@@ -181,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_whose_time_has_passed_is_held_against_what_the_act_before_it_leaves_on_the_devices() {
+    fn overdue_act_is_checked_against_scripts_left_by_the_previous_act() {
         for (wait, round_trip, tight) in [
             (Wait::Instant(at(0)), ms(40), true),
             (Wait::Instant(at(0)), ms(8), false),

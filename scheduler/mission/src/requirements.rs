@@ -207,12 +207,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_asked_is_not_judged() {
+    fn unset_requirements_are_not_judged() {
         assert_eq!(judge(&Requirements::default(), &Figures::default()), []);
     }
 
     #[test]
-    fn without_figures_nothing_is_known_and_each_says_why() {
+    fn requirements_without_figures_are_unknown_with_a_reason() {
         let judged = judge(&all(), &Figures::default());
         assert_eq!(judged.len(), 6);
         assert!(judged.iter().all(|judged| judged.result == Judgement::NotKnown && judged.note.is_some()));
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn trials_answer_all_of_them() {
+    fn trials_judge_every_requirement() {
         let figures = Figures {
             trials: Some(1_000),
             spread_p50: Some(millis(1)),
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn one_run_has_one_spread_and_says_so() {
+    fn single_run_has_one_spread_and_the_note_states_it() {
         let figures = Figures { spread_max: Some(millis(2)), ..Figures::default() };
         let judged = judge(&all(), &figures);
         assert_eq!(judged[1].result, Judgement::NotKnown);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn few_trials_without_a_failure_say_how_many_are_needed() {
+    fn too_few_trials_without_failure_report_the_number_needed() {
         let note = |trials| {
             let figures = Figures { trials: Some(trials), starts: Some(trials), ..Figures::default() };
             judge(&all(), &figures)[3].note.clone()

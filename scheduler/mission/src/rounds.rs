@@ -382,7 +382,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_question_about_very_many_scripts_is_asked_in_parts_that_a_new_connection_may_send() {
+    fn inquiry_about_many_scripts_is_split_to_fit_a_new_connection() {
         let id = |n: usize| RequestId::new(format!("{:0>70}", n)).unwrap();
         let group = |count: usize, lease: i64| NamedScripts {
             lease: Some(Span::from_millis(lease)),

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn what_robots_are_told_has_128_random_bits_that_people_never_see() {
+    fn session_sent_to_robots_has_128_random_bits_that_are_never_shown() {
         let (one, other) = (SessionKey::random().unwrap(), SessionKey::random().unwrap());
         assert_ne!(one, other);
         let session = Session::with_key(name(), &one).unwrap();
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_kept_as_its_digits_and_nothing_else_is_taken_for_one() {
+    fn key_is_stored_as_its_digits_and_anything_else_is_rejected() {
         let key = SessionKey::random().unwrap();
         let kept = serde_json::to_string(&key).unwrap();
         assert_eq!(serde_json::from_str::<SessionKey>(&kept).unwrap(), key);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_kept_without_the_key() {
+    fn messages_are_stored_without_the_key() {
         let key = SessionKey::random().unwrap();
         let session = Session::with_key(name(), &key).unwrap().on_the_wire().clone();
         let asked = AvailabilityRequest {
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn the_key_that_a_robot_tells_is_not_shown() {
+    fn key_reported_by_a_robot_is_not_shown() {
         let key = "0123456789abcdef".repeat(2);
         for (told, shown) in [
             (format!("belongs to session `a@b/{key}`"), "belongs to session `a@b/…`".to_owned()),
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_leaves_no_room_for_a_key_is_refused() {
+    fn name_without_room_for_a_key_is_refused() {
         let key = SessionKey::random().unwrap();
         let of = |chars: usize| Session::with_key(SessionId::new("x".repeat(chars)).unwrap(), &key);
         assert!(of(223).is_ok() && of(224).is_err());

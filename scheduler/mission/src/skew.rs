@@ -271,7 +271,7 @@ mod tests {
     use crate::clock::ClockSample;
 
     #[test]
-    fn of_two_robots_whose_clocks_are_far_apart_the_one_that_is_off_is_named() {
+    fn wrong_one_of_two_diverging_clocks_is_named() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
         for (first, second, off) in
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_is_far_from_the_others_only_beyond_half_the_tolerance() {
+    fn robot_is_far_from_the_others_only_beyond_half_the_tolerance() {
         let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
         let choreography = bench::played(&scripts);
         for (second, third) in [(20, -60), (-20, 60)] {
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_latency_that_varies_widens_the_budget_and_is_told_apart_from_the_clocks() {
+    fn varying_latency_widens_the_budget_and_is_reported_apart_from_clocks() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
         let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_for_a_later_start_is_wider_by_what_clocks_drift_until_then() {
+    fn budget_for_a_later_start_includes_clock_drift_until_then() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
         let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_plays_alone_spreads_by_its_wake_up_and_what_its_latency_varies_both_ways() {
+    fn lone_robot_spreads_by_its_wake_up_and_its_latency_spread_both_ways() {
         let mut robots = ahead_by(&[30]);
         robots[0].settings.wake_up = ms(5);
         let latency = urrcp::Latency { median: ms(40), spread: ms(20) };
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_ahead_starts_its_robot_early_and_a_late_wake_up_late() {
+    fn clock_ahead_starts_its_robot_early_and_late_wake_up_starts_it_late() {
         let mut robots = ahead_by(&[30, -10]);
         robots[1].settings.wake_up = ms(5);
         let budget = budget(&robots);
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_that_is_as_wide_as_the_tolerance_fits() {
+    fn budget_as_wide_as_the_tolerance_fits() {
         let wide = budget(&ahead_by(&[0, 20]));
         for (tolerance, fits) in [(wide.predicted, true), (wide.predicted - Span::from_nanos(1), false)] {
             assert_eq!(SkewBudget { tolerance, ..wide.clone() }.fits(), fits);
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn where_requests_are_translated_only_what_a_clock_has_strayed_since_counts() {
+    fn only_later_clock_drift_affects_translated_requests() {
         let mut robots = ahead_by(&[30, 30]);
         robots[1].settings.clock = ClockMode::Measured;
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn of_three_robots_the_one_whose_clock_is_unlike_those_of_the_others_is_named_whoever_is_right() {
+    fn outlier_clock_among_three_robots_is_named_whichever_is_right() {
         let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
         let choreography = bench::played(&scripts);
         let mut robots = ["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2));

@@ -56,7 +56,7 @@ fn answers(mission: &mut Mission, act: Option<&str>, expected: Result<&str, &str
 }
 
 #[test]
-fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
+fn go_applies_to_the_waiting_act_and_is_otherwise_refused_with_a_reason() {
     let mut mission = waits_in(0);
     answers(&mut mission, None, Err("the fleet is still being checked"));
     let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
@@ -107,7 +107,7 @@ fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<A
 }
 
 #[test]
-fn a_robot_that_takes_no_inquiries_is_sent_again_what_waits_when_its_link_is_back() {
+fn robot_without_inquiries_is_resent_waiting_scripts_on_reconnection() {
     for (tells, again) in [(Tells::Reports, true), (Everything, false)] {
         let mut mission = begins_at_once(tells);
         let first = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
@@ -123,7 +123,7 @@ fn a_robot_that_takes_no_inquiries_is_sent_again_what_waits_when_its_link_is_bac
 }
 
 #[test]
-fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_just_been_made() {
+fn stops_are_sent_only_on_an_identified_link_of_the_intended_robot() {
     let mut mission = begins_at_once(Everything);
     assert!(!mission.takes_stops(at(0), 0), "there is no link");
     let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
@@ -145,7 +145,7 @@ fn with_rows(mut report: ActReport, rows: usize) -> ActReport {
 }
 
 #[test]
-fn the_report_of_the_last_act_is_kept_however_many_robots_played_it() {
+fn report_of_the_last_act_is_kept_whatever_its_size() {
     let (mut mission, act, report) = sent_act();
     mission.keep_report(&act, with_rows(report.clone(), 20_001));
     assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 0));
@@ -154,7 +154,7 @@ fn the_report_of_the_last_act_is_kept_however_many_robots_played_it() {
 }
 
 #[test]
-fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
+fn reports_are_kept_up_to_twenty_thousand_rows() {
     let (mut mission, act, report) = sent_act();
     mission.keep_report(&act, with_rows(report.clone(), 19_999));
     mission.keep_report(&act, report.clone());
@@ -164,7 +164,7 @@ fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
 }
 
 #[test]
-fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
+fn stopped_robot_with_waiting_script_rests_when_its_pending_lease_ends() {
     let (mut mission, act, _) = sent_act();
     mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     let member = &act.members()[0];
@@ -174,7 +174,7 @@ fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
 }
 
 #[test]
-fn an_act_is_sent_later_than_the_stop_before_it() {
+fn act_is_sent_later_than_the_preceding_stop() {
     for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
         let mut mission = begins_at_once(Everything);
         mission.stopped_at = stopped;
@@ -188,7 +188,7 @@ fn an_act_is_sent_later_than_the_stop_before_it() {
 }
 
 #[test]
-fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted() {
+fn required_sensor_passes_once_read_and_only_if_robots_are_greeted() {
     let read = Some(51.0);
     for (greeting, readings, passes) in [
         (Greeting::Full, vec![read], true),
@@ -219,7 +219,7 @@ fn reconnected() -> Mission {
 }
 
 #[test]
-fn a_robot_that_does_not_say_which_one_it_is_is_asked_again_before_its_link_is_given_up() {
+fn unidentified_robot_is_asked_again_before_its_link_is_dropped() {
     let mut mission = reconnected();
     mission.ask_names_again(at(300));
     assert!(mission.robots[0].unnamed_since().is_some(), "it may still answer");
@@ -234,7 +234,7 @@ fn a_robot_that_does_not_say_which_one_it_is_is_asked_again_before_its_link_is_g
 }
 
 #[test]
-fn another_robot_at_the_address_of_one_that_plays_stops_the_mission() {
+fn another_robot_at_the_address_of_a_playing_one_stops_the_mission() {
     let mut mission = reconnected();
     let block = robot("another", Everything, 2).block.unwrap();
     let _actions =
@@ -249,7 +249,7 @@ fn another_robot_at_the_address_of_one_that_plays_stops_the_mission() {
 }
 
 #[test]
-fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
+fn robot_with_unanswered_measured_clock_fails_when_patience_ends() {
     let mut mission = begins_at_once(Everything);
     mission.robots[0].settings.clock = ClockMode::Measured;
     let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -261,7 +261,7 @@ fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
 }
 
 #[test]
-fn a_robot_that_was_sent_nothing_is_sent_no_stop_and_another_one_only_one() {
+fn robot_that_was_sent_nothing_gets_no_stop_and_others_get_only_one() {
     let mut mission = begins_at_once(Everything);
     mission.stop_robot(at(0), 0, Rest::InPlace);
     assert!(!mission.robots[0].stop_was_sent() && mission.stopped_at.is_none());
@@ -275,7 +275,7 @@ fn a_robot_that_was_sent_nothing_is_sent_no_stop_and_another_one_only_one() {
 }
 
 #[test]
-fn a_robot_owes_the_fate_of_what_it_was_sent_if_it_can_tell_it() {
+fn robot_owes_the_fate_of_its_sent_scripts_if_it_can_report_it() {
     for (tells, owes) in [(Everything, true), (Tells::Reports, true), (Tells::Nothing, false)] {
         let mut mission = begins_at_once(tells);
         assert!(!mission.owes_a_fate(0), "{tells:?}: nothing was sent");
@@ -285,7 +285,7 @@ fn a_robot_owes_the_fate_of_what_it_was_sent_if_it_can_tell_it() {
 }
 
 #[test]
-fn an_act_tells_how_far_its_starts_may_be_apart() {
+fn act_reports_how_far_apart_its_starts_may_be() {
     let mut mission = greets_a_clock(0, 2);
     mission.options.greeting = Greeting::Skip;
     let actions = happens(&mut mission, at(3), Event::LinkUp { robot: 0 });
@@ -299,7 +299,7 @@ fn an_act_tells_how_far_its_starts_may_be_apart() {
 }
 
 #[test]
-fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
+fn stopping_mission_sends_no_pending_scripts() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
@@ -310,7 +310,7 @@ fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
 }
 
 #[test]
-fn a_robot_whose_stop_is_not_confirmed_is_sent_no_script_that_the_next_act_wants() {
+fn robot_with_unconfirmed_stop_is_sent_no_script_of_the_next_act() {
     for (is_stopped, sends) in [(true, 0), (false, 1)] {
         let mut mission = begins_at_once(Everything);
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -325,7 +325,7 @@ fn a_robot_whose_stop_is_not_confirmed_is_sent_no_script_that_the_next_act_wants
 }
 
 #[test]
-fn a_script_that_waited_for_the_commitment_is_not_sent_behind_the_stop_of_its_robot() {
+fn deferred_script_is_not_sent_after_the_stop_of_its_robot() {
     for (is_stopped, sends) in [(true, 0), (false, 1)] {
         let mut mission = begins_at_once(Everything);
         let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -358,7 +358,7 @@ fn one_after_the_other() -> Mission {
 }
 
 #[test]
-fn an_act_that_nobody_is_left_to_play_is_passed_over() {
+fn act_with_no_robots_left_is_skipped() {
     let mut mission = one_after_the_other();
     mission.robots[0].standing = Standing::Out;
     mission.options.check_invariants = false;
@@ -368,7 +368,7 @@ fn an_act_that_nobody_is_left_to_play_is_passed_over() {
 }
 
 #[test]
-fn starts_that_are_as_far_off_as_is_tolerated_are_in_tolerance() {
+fn starts_off_by_exactly_the_tolerance_are_in_tolerance() {
     for (error, flawed) in [(TOLERANCE, false), (TOLERANCE + Span::from_nanos(1), true)] {
         let (mut mission, act, mut report) = sent_act();
         report.robots[0].devices[0].start_error = Some(error);
@@ -378,7 +378,7 @@ fn starts_that_are_as_far_off_as_is_tolerated_are_in_tolerance() {
 }
 
 #[test]
-fn steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_left_out_do_not_count() {
+fn steps_late_by_the_tolerance_are_accepted_and_left_out_robots_ignored() {
     let beyond = TOLERANCE + Span::from_nanos(1);
     for (late, left_out, flawed) in [(TOLERANCE, false, false), (beyond, false, true), (beyond, true, false)]
     {
@@ -403,7 +403,7 @@ fn greets_a_clock(offset: i64, delay: i64) -> Mission {
 }
 
 #[test]
-fn a_clock_is_refused_only_if_it_is_off_for_certain() {
+fn clock_is_refused_only_if_certainly_off() {
     for (offset, delay, refused) in [(8, 10, false), (12, 10, false), (18, 10, true)] {
         let mut mission = greets_a_clock(offset, delay);
         mission.check_clocks(at(delay));
@@ -412,7 +412,7 @@ fn a_clock_is_refused_only_if_it_is_off_for_certain() {
 }
 
 #[test]
-fn a_robot_that_is_not_there_when_patience_ends_may_join_and_one_that_is_silent_fails() {
+fn absent_robot_may_join_after_patience_ends_but_a_silent_one_fails() {
     for (connected, standing, failed) in [(false, Standing::Absent, false), (true, Standing::In, true)] {
         let mut mission = begins_at_once(Everything);
         mission.options.greeting = Greeting::Full;
@@ -431,7 +431,7 @@ fn a_robot_that_is_not_there_when_patience_ends_may_join_and_one_that_is_silent_
 }
 
 #[test]
-fn a_robot_is_ours_once_it_was_asked_on_its_link_on_behalf_of_a_session() {
+fn robot_is_ours_once_asked_on_its_link_for_a_session() {
     for (greeting, session, up) in [
         (Greeting::Full, true, true),
         (Greeting::Skip, true, true),
@@ -453,7 +453,7 @@ fn a_robot_is_ours_once_it_was_asked_on_its_link_on_behalf_of_a_session() {
 }
 
 #[test]
-fn a_script_has_to_fit_what_the_robot_itself_declares() {
+fn script_must_fit_the_limits_its_robot_declares() {
     let block = |steps: u32| {
         let mut block = robot("r0", Everything, 2).block.unwrap();
         let text = serde_json::to_string(&block)
@@ -471,7 +471,7 @@ fn a_script_has_to_fit_what_the_robot_itself_declares() {
 }
 
 #[test]
-fn a_script_that_is_sent_again_is_counted() {
+fn resent_script_is_counted() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     mission.count_retry(ScriptRef { act: 0, member: 0, script: 0 });
@@ -479,7 +479,7 @@ fn a_script_that_is_sent_again_is_counted() {
 }
 
 #[test]
-fn a_start_without_a_name_belongs_to_a_script_that_is_held() {
+fn start_without_id_belongs_to_a_held_script() {
     let mut mission = begins_at_once(Tells::Nothing);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let device = "a".parse().unwrap();
@@ -491,7 +491,7 @@ fn a_start_without_a_name_belongs_to_a_script_that_is_held() {
 }
 
 #[test]
-fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() {
+fn expired_lease_without_id_is_assigned_to_the_shortest_open_lease() {
     let sent = |scripts: &[Planned]| {
         let participant = Participant::new(RobotId::new("r0").unwrap(), robot("r0", Tells::Reports, 4).block);
         let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
@@ -519,7 +519,7 @@ fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() 
 }
 
 #[test]
-fn an_act_knows_for_which_robot_it_is_sent_so_early() {
+fn act_names_the_robot_that_requires_early_sending() {
     let mut played = played::Played::begun(one_act(Everything, 400));
     played.run_to_the_start();
     let slowest = played.mission.acts[0].timing().unwrap().slowest.as_ref();
@@ -527,7 +527,7 @@ fn an_act_knows_for_which_robot_it_is_sent_so_early() {
 }
 
 #[test]
-fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would_end_then() {
+fn end_without_id_belongs_to_latest_begun_script_if_two_would_end_then() {
     let mut mission = begins_with(Tells::Reports, &[("a", 0, 400), ("a", 400, 0)]);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     mission.acts[0].sent(at(1), ScriptRef { act: 0, member: 0, script: 1 });
@@ -553,7 +553,7 @@ fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would
 }
 
 #[test]
-fn after_a_round_the_next_one_is_ahead() {
+fn next_round_is_later_than_the_one_just_done() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     mission.next_round = Some(at(5));
@@ -562,7 +562,7 @@ fn after_a_round_the_next_one_is_ahead() {
 }
 
 #[test]
-fn a_robot_that_takes_no_inquiries_owes_nothing_once_it_has_answered_a_question_after_its_stop() {
+fn robot_without_inquiries_owes_nothing_once_it_responds_after_its_stop() {
     for (answered, owes) in [(0, true), (1, true), (2, false)] {
         let mut mission = begins_at_once(Tells::Reports);
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -574,7 +574,7 @@ fn a_robot_that_takes_no_inquiries_owes_nothing_once_it_has_answered_a_question_
 }
 
 #[test]
-fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both() {
+fn stops_of_two_devices_follow_an_inquiry_that_ends_both_leases() {
     let block = robot("r0", Everything, 2).block;
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
@@ -595,7 +595,7 @@ fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both(
 }
 
 #[test]
-fn the_first_round_is_not_due_at_once() {
+fn first_round_is_not_due_immediately() {
     let mut mission = waits_in(0);
     let _waits = mission.handle(at(0), Event::LinkUp { robot: 0 });
     mission.next_round = None;
@@ -607,7 +607,7 @@ fn the_first_round_is_not_due_at_once() {
 }
 
 #[test]
-fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
+fn queued_act_is_replaced_by_the_act_a_failure_leads_to() {
     let mut mission = waits_in(1);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     mission.lead_elsewhere(0);
@@ -624,7 +624,7 @@ fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Optio
 }
 
 #[test]
-fn a_script_whose_pending_lease_reaches_its_start_goes_on_to_its_running_one() {
+fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
     let (mut mission, act, _) = sent_act();
     mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     let timing = act.timing().unwrap();
@@ -636,7 +636,7 @@ fn a_script_whose_pending_lease_reaches_its_start_goes_on_to_its_running_one() {
 }
 
 #[test]
-fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_something() {
+fn running_script_ends_by_its_running_lease_from_the_last_message() {
     let (mut mission, mut act, _) = sent_act();
     let script = ScriptRef { act: 0, member: 0, script: 0 };
     let started = act.timing().unwrap().start;
@@ -653,7 +653,7 @@ fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_
 }
 
 #[test]
-fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
+fn robot_has_nothing_left_of_ended_or_unsent_scripts() {
     let (mut mission, mut act, _) = sent_act();
     let end = act.timing().unwrap().end;
     assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
@@ -675,7 +675,7 @@ fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
 }
 
 #[test]
-fn a_robot_that_only_answers_says_nothing_of_what_it_has_accepted_and_one_that_reports_does() {
+fn failure_without_id_matches_accepted_script_only_if_robot_reports() {
     for (tells, says, found) in [
         (Tells::Nothing, requests::Says::Answers, [Some(0), None, Some(0), Some(0), None]),
         (Tells::Reports, requests::Says::ByItself, [Some(0), None, Some(0), Some(0), Some(0)]),
@@ -715,7 +715,7 @@ fn a_robot_that_only_answers_says_nothing_of_what_it_has_accepted_and_one_that_r
 }
 
 #[test]
-fn a_mission_ends_after_so_many_acts_as_the_operator_wants_or_the_process_allows() {
+fn mission_ends_at_the_act_limit_of_the_operator_or_the_process() {
     let mut mission = begins_at_once(Everything);
     mission.bound_acts(3);
     mission.bound_acts(5);
@@ -725,7 +725,7 @@ fn a_mission_ends_after_so_many_acts_as_the_operator_wants_or_the_process_allows
 }
 
 #[test]
-fn a_mission_needs_a_participant_for_every_robot_of_its_acts() {
+fn mission_needs_a_participant_for_every_robot_of_its_acts() {
     let participants = vec![Participant::new(RobotId::new("r1").unwrap(), None)];
     let missing = |scripts: &[&[Planned]]| {
         Mission::new(Arc::new(choreography(scripts)), participants.clone(), MissionOptions::default(), at(0))
@@ -740,7 +740,7 @@ fn a_mission_needs_a_participant_for_every_robot_of_its_acts() {
 }
 
 #[test]
-fn a_greeting_wakes_up_for_its_next_sample_and_at_its_deadline_at_the_latest() {
+fn greeting_wakes_for_its_next_sample_and_no_later_than_its_deadline() {
     let mut mission = begins_at_once(Everything);
     let deadline = at(0) + mission.options.patience;
     mission.lateness = lateness::Lateness::new(at(3));

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_of_day_is_today_or_tomorrow() {
+    fn time_of_day_is_today_or_tomorrow() {
         check(BERLIN, "2026-07-01T10:00:00Z", 13, 0, "2026-07-01T11:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 12, 0, "2026-07-01T10:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 11, 59, "2026-07-02T09:59:00Z");
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_across_a_change_is_by_the_rules_of_its_own_date() {
+    fn time_across_a_clock_change_follows_the_rules_of_its_own_date() {
         check(BERLIN, "2027-03-27T20:00:00Z", 3, 30, "2027-03-28T01:30:00Z");
         check(BERLIN, "2027-03-27T20:00:00Z", 1, 30, "2027-03-28T00:30:00Z");
         check(BERLIN, "2027-03-28T00:30:00Z", 3, 0, "2027-03-28T01:00:00Z");
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_clocks_skip_is_refused_with_the_nearest_ones() {
+    fn skipped_time_is_refused_with_the_nearest_valid_times() {
         let skipped = BERLIN.next(at("2027-03-27T20:00:00Z"), HOUR * 2 + MINUTE * 30).unwrap_err();
         assert_eq!(
             skipped.to_string(),
@@ -220,14 +220,14 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_clocks_have_just_skipped_is_tomorrow() {
+    fn time_just_skipped_by_clocks_is_tomorrow() {
         check(BERLIN, "2027-03-28T01:00:00Z", 2, 30, "2027-03-29T00:30:00Z");
         // Today's 02:30 has passed, and the clocks skip tomorrow's.
         assert!(BERLIN.next(at("2027-03-27T01:31:00Z"), HOUR * 2 + MINUTE * 30).is_err());
     }
 
     #[test]
-    fn of_a_time_that_clocks_show_twice_the_first_that_lies_ahead_is_meant() {
+    fn first_future_occurrence_of_a_repeated_time_is_used() {
         let [first, second] = ["2026-10-25T00:30:00Z", "2026-10-25T01:30:00Z"];
         check(BERLIN, "2026-10-24T20:00:00Z", 2, 30, first);
         check(BERLIN, first, 2, 30, first);
@@ -239,13 +239,13 @@ mod tests {
     }
 
     #[test]
-    fn clocks_that_go_back_at_midnight_show_times_of_the_day_before_again() {
+    fn clocks_set_back_at_midnight_repeat_times_of_the_previous_day() {
         check(ST_JOHNS, "2006-10-29T02:30:30Z", 23, 30, "2006-10-29T03:00:00Z");
         check(ST_JOHNS, "2006-10-29T02:40:00Z", 0, 0, "2006-10-29T03:30:00Z");
     }
 
     #[test]
-    fn a_time_is_shown_by_the_rules_of_its_own_date_and_with_its_date_on_another_day() {
+    fn time_is_shown_by_rules_of_its_date_and_with_date_if_on_another_day() {
         let (eve, day) = (at("2027-03-27T20:00:00Z"), at("2027-03-28T01:30:00Z"));
         assert_eq!(BERLIN.time_as_of(eve, eve), "21:00:00.000");
         assert_eq!(BERLIN.time_as_of(day, eve), "03:30:00.000 on 28 Mar 2027");
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_clocks_show_twice_is_shown_with_its_utc_offset() {
+    fn repeated_time_is_shown_with_its_utc_offset() {
         let [first, second] = ["2026-10-25T00:30:00Z", "2026-10-25T01:30:00Z"].map(at);
         assert_eq!(BERLIN.time_of_day(first), "02:30:00.000 UTC+02:00");
         assert_eq!(BERLIN.time_of_day(second), "02:30:00.000 UTC+01:00");

@@ -91,7 +91,7 @@ fn true_p95(device: &Device) -> f64 {
 
 #[test]
 #[expect(clippy::print_stdout, reason = "figures for docs/latency.md")]
-fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds() {
+fn latency_is_within_two_ms_for_any_lag_noise_and_sensor_delay() {
     let mut rng = fastrand::Rng::with_seed(19);
     let devices =
         std::env::var("DOWNBEAT_DEVICES").ok().and_then(|devices| devices.parse().ok()).unwrap_or(20);
@@ -122,7 +122,7 @@ fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds(
 }
 
 #[test]
-fn a_time_constant_and_the_lag_behind_a_ramp_are_told() {
+fn time_constant_and_tracking_lag_are_reported() {
     for lags in [1, 2] {
         let device = Device { time_constant: 20.0, lags, lasts: 120.0, ..DEVICE };
         let found = estimate(&device.trials(7, 20), READABLE);
@@ -136,7 +136,7 @@ fn a_time_constant_and_the_lag_behind_a_ramp_are_told() {
 }
 
 #[test]
-fn where_the_value_is_taken_is_half_of_the_sensor_delay_if_it_is_not_known() {
+fn unknown_sampling_time_is_assumed_at_half_the_sensor_delay() {
     let reading = Reading { asked: Span::ZERO, answered: Span::from_millis(31), value: 0.0 };
     let link = Span::from_millis(1);
     let half = Span::from_millis_f64(0.5);
@@ -177,7 +177,7 @@ fn refused(device: Device, change: impl Fn(&mut Sample), expected: fn(&Unclear) 
 }
 
 #[test]
-fn what_cannot_be_judged_is_refused_with_the_reason() {
+fn unusable_readings_are_refused_with_the_reason() {
     refused(Device { noise: 0.4, ..DEVICE }, |_| {}, |why| matches!(why, Unclear::Noisy { .. }));
     refused(DEVICE, |sample| sample.value = REST, |why| matches!(why, Unclear::NothingMoved { .. }));
     let saturated = |sample: &mut Sample| sample.value = sample.value.max(180.0);
@@ -198,7 +198,7 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_device_that_still_moves_at_the_last_reading_is_refused() {
+fn device_still_moving_at_the_last_reading_is_refused() {
     let mut trial = Device { time_constant: 200.0, ..DEVICE }.trials(5, 1).remove(0);
     trial.samples.retain(|sample| sample.at < Span::from_millis(250));
     let found = onset(
@@ -214,7 +214,7 @@ fn a_device_that_still_moves_at_the_last_reading_is_refused() {
 }
 
 #[test]
-fn bounds_are_those_of_the_tables() {
+fn bounds_match_the_published_tables() {
     // By hand from Natrella's formula with z = 1.645 and 1.960 for 20 trials: a = 0.89891, b = 2.51347. Howe's factor is 2.752
     // (NIST/SEMATECH e-Handbook, section 7.2.6.3).
     assert!((quantile_bound(20, 0.0, 1.0) - 2.5729).abs() < 0.0005, "{}", quantile_bound(20, 0.0, 1.0));
@@ -223,7 +223,7 @@ fn bounds_are_those_of_the_tables() {
 }
 
 #[test]
-fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
+fn device_begins_visibly_once_it_has_moved_by_the_visible_amount() {
     let ramp = Commanded::ramp(Span::from_millis(100));
     let delay = |lag: model::Lag, share: f64| model::visible_delay(&ramp, lag, share);
     assert!(delay(model::Lag::NONE, 0.1).abs() < 1e-9);
@@ -273,7 +273,7 @@ fn true_begin(friction: f64) -> f64 {
 }
 
 #[test]
-fn a_device_with_static_friction_begins_when_its_readings_show_it() {
+fn device_with_static_friction_begins_when_its_readings_show_it() {
     for (noise, sensor) in [(0.0, 21.7), (0.0005, 21.7), (0.001, 5.0), (0.002, 2.0)] {
         let mut rng = fastrand::Rng::with_seed(31);
         let trials: Vec<Trial> = (0..20).map(|_| with_friction(&mut rng, 0.06, noise, sensor)).collect();
@@ -294,7 +294,7 @@ fn a_device_with_static_friction_begins_when_its_readings_show_it() {
 }
 
 #[test]
-fn a_sensor_that_shows_the_opposite_movement_is_refused() {
+fn sensor_showing_the_opposite_movement_is_refused() {
     let mirrored = |sample: &mut Sample| sample.value = 2.0 * REST - sample.value;
     refused(
         DEVICE,
@@ -304,7 +304,7 @@ fn a_sensor_that_shows_the_opposite_movement_is_refused() {
 }
 
 #[test]
-fn a_device_that_is_too_slow_for_the_fit_is_refused() {
+fn device_too_slow_for_the_fit_is_refused() {
     let slow = Device { time_constant: 900.0, lasts: 40.0, ..DEVICE };
     let trial = slow.trials(5, 1).remove(0);
     let found = onset(&trial, READABLE, None);
@@ -312,7 +312,7 @@ fn a_device_that_is_too_slow_for_the_fit_is_refused() {
 }
 
 #[test]
-fn readings_without_noise_show_no_lag_where_none_is() {
+fn noiseless_readings_of_a_device_without_lag_show_no_lag() {
     let exact = Device { noise: 0.0, deviation: 0.0, ..DEVICE };
     let found = estimate(&exact.trials(9, 20), READABLE);
     assert_eq!(found.lag, None);

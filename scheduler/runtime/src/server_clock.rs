@@ -341,7 +341,7 @@ mod tests {
     const INTERVAL: Duration = Duration::from_millis(100);
 
     #[tokio::test]
-    async fn a_watch_follows_ntp_time_notices_steps_and_its_loss_and_return() {
+    async fn watch_follows_ntp_time_and_reports_steps_loss_and_return() {
         let responder = Responder::default();
         responder.set_offset(Span::from_millis(250));
         let server = responder.start().await;
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_watch_whose_server_never_answered_says_so_since_it_began() {
+    async fn watch_without_any_answer_reports_server_lost_since_it_began() {
         let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let clock = ServerClock::anchored(Span::ZERO);
         let began = clock.now();
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_watch_that_is_dropped_asks_no_more() {
+    async fn dropped_watch_stops_querying() {
         let server = Responder::default().start().await;
         let watch = NtpWatch::start(server, ServerClock::anchored(Span::ZERO), Duration::from_millis(20));
         let mut states = watch.states.clone();
@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
+    fn lead_of_system_clock_is_computed_for_any_offset() {
         for millis in [0, 250, -250, 3_600_000, -3_600_000] {
             let offset = Span::from_millis(millis);
             // On a busy machine, a thread may lose its core between two readings, but not every time.
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_without_a_port_is_asked_on_that_of_ntp() {
+    async fn server_without_a_port_uses_the_ntp_port() {
         for (server, address) in [
             ("127.0.0.1", "127.0.0.1:123"),
             ("127.0.0.1:1123", "127.0.0.1:1123"),
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_is_asked_a_few_times_for_its_offset() {
+    async fn ntp_offset_is_measured_within_its_uncertainty() {
         let responder = Responder::default();
         responder.set_offset(Span::from_millis(250));
         let reading = ask_ntp(&responder.start().await).await.unwrap();
@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_that_answers_some_questions_is_believed_unless_it_refuses_the_first() {
+    async fn server_may_refuse_some_requests_but_not_the_first() {
         for (refuses, asked, believed) in [(vec![1, 4], 5, true), (vec![0], 1, false)] {
             let responder = Responder { refuses: refuses.clone(), ..Responder::default() };
             responder.set_offset(Span::from_millis(250));
@@ -446,7 +446,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_bounds_of_an_answer_allow_for_the_way_and_for_the_rounding_of_its_timestamps() {
+    async fn answer_bounds_allow_for_network_delay_and_timestamp_rounding() {
         let responder = Responder::default();
         responder.set_offset(Span::from_millis(250));
         let server = responder.start().await.parse().unwrap();

@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mask_of_ignored_signals_is_read_from_the_status_of_the_process() {
+    fn ignored_signals_are_read_from_process_status() {
         assert_eq!(ignored("Name:\tx\nSigBlk:\t0000000000000000\nSigIgn:\t0000000000001001\n"), 0x1001);
         assert_eq!(ignored("no such line"), 0);
     }

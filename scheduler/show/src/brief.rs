@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spans_have_two_significant_digits_from_a_hundredth_of_a_millisecond_up() {
+    fn spans_from_ten_microseconds_up_have_two_significant_digits() {
         for (nanos, expected) in [
             (0, "0.000 ms"),
             (4_321, "0.004 ms"),

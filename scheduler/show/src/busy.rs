@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_moves_between_different_values_or_jumps_to_them() {
+    fn device_moves_linearly_or_jumps_between_different_values() {
         let values = [0.0, 5.0, 5.0, 1.0];
         check(ControlType::Position, &values, Interpolation::Linear, &[(1.0, 1.0), (1.0, 2.0), (3.0, 4.0)]);
         check(ControlType::Position, &values, Interpolation::Hold, &[(1.0, 1.0), (2.0, 2.0), (4.0, 4.0)]);
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_speed_moves_and_speed_zero_does_not() {
+    fn constant_speed_is_movement_and_zero_speed_is_not() {
         let values = [0.0, 0.0, 2.0, 2.0, 0.0];
         let expected = [(1.0, 1.0), (2.0, 3.0), (3.0, 4.0), (4.0, 5.0)];
         check(ControlType::Speed, &values, Interpolation::Linear, &expected);

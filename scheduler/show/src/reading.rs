@@ -17,7 +17,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reading_is_short() {
+    fn readings_are_shown_in_short_form() {
         check(-10.4213, "-10.4213");
         check(89.999_999_712, "90");
         check(-1.767_249_105_254_329_3e-19, "-1.8e-19");

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round_and_labelled_in_the_unit_that_people_use() {
+    fn ticks_are_round_and_labelled_in_familiar_units() {
         check(0.9, 3, &["0 ms", "0.5 ms"]);
         check(300.0, 3, &["0 ms", "100 ms", "200 ms", "300 ms"]);
         check(4_250.0, 10, &["0 s", "0.5 s", "1 s", "1.5 s", "2 s", "2.5 s", "3 s", "3.5 s", "4 s"]);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_never_more_ticks_than_there_is_room_for() {
+    fn number_of_ticks_is_limited_by_available_space() {
         for total in (0..160).map(|exponent| 1.2_f64.powi(exponent)) {
             for most in [0, 1, 3, 10, 60] {
                 let ticks = ticks(total, most);

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_stand_below_each_other_where_there_is_room() {
+    fn rows_are_shown_in_columns_if_the_width_suffices() {
         let text = rows().text(60);
         assert!(text.lines().all(|line| line.width() <= 60), "{text}");
         assert!(text.starts_with(" robot"), "{text}");
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_become_lines_of_their_own_where_there_is_none() {
+    fn rows_are_shown_as_separate_lines_if_the_width_is_too_small() {
         let expected = "arm-1
   steps 120/120,
   start error +0.412 ms,
@@ -178,7 +178,7 @@ a\\u{1b}[2Jb
     }
 
     #[test]
-    fn at_any_width_no_line_begins_with_a_comma_or_is_too_wide_and_no_number_is_broken() {
+    fn text_fits_any_width_without_leading_commas_or_broken_numbers() {
         let cells = ["arm-1", "120/120", "+0.412 ms", "-150.002 ms"];
         for columns in 15..=120 {
             let text = rows().text(columns);
@@ -193,7 +193,7 @@ a\\u{1b}[2Jb
     }
 
     #[test]
-    fn sentences_are_broken_between_words() {
+    fn sentences_are_wrapped_between_words() {
         assert_eq!(
             wrapped("stop NOT confirmed; its lease ends at 19:30:00.412", 30),
             "stop NOT confirmed; its lease\n  ends at 19:30:00.412\n"
@@ -203,7 +203,7 @@ a\\u{1b}[2Jb
     }
 
     #[test]
-    fn no_line_ends_between_a_number_and_its_unit() {
+    fn number_and_unit_are_never_split_across_lines() {
         assert_eq!(
             wrapped("confirmed within 666.663 us (350 ms, late)", 25),
             "confirmed within\n  666.663 us (350 ms,\n  late)\n"

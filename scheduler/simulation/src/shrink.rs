@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_shows_the_violation_stays() {
+    fn shrinking_keeps_only_parts_needed_for_the_violation() {
         let stops = |drawn: &Drawn| drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Stop));
         let shrunk = shrink(rich(), stops);
         assert_eq!(shrunk.faults.len(), 1, "{:?}", shrunk.faults);
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shrunk_can_be_played() {
+    fn shrunk_missions_can_be_played() {
         for simpler in simpler(&rich()) {
             assert!(!play(simpler).hung);
         }

@@ -4,7 +4,7 @@ use downbeat_mission::report::Outcome;
 use downbeat_mission::{ActCourse, ActFate, Failure, FailureKind, Progress, TransferReport};
 
 #[test]
-fn thousands_of_seeds_of_faults_violate_nothing() {
+fn thousands_of_seeds_with_faults_violate_no_invariant() {
     let seeds = std::env::var("DOWNBEAT_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(1_000);
     let mut violated = Vec::new();
     let mut mixed = 0;
@@ -23,7 +23,7 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
 }
 
 #[test]
-fn a_seed_replays_exactly() {
+fn same_seed_replays_exactly() {
     // With the last three seeds, the mission repeatedly queries robots for the resting positions of their devices.
     for seed in [3, 77, 1_234, 171, 237, 246] {
         assert_eq!(trace(&run_verbosely(seed)), trace(&run_verbosely(seed)));
@@ -31,7 +31,7 @@ fn a_seed_replays_exactly() {
 }
 
 #[test]
-fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
+fn seeds_without_faults_complete_or_are_refused_for_their_links() {
     let clean = |drawn: &Drawn| {
         let honest = drawn.robots.iter().all(|robot| robot.lie.is_none());
         drawn.faults.is_empty()
@@ -88,7 +88,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
 }
 
 #[test]
-fn seeds_that_found_something_once_find_nothing_any_more() {
+fn seeds_of_past_violations_no_longer_violate_anything() {
     let seeds = [
         472, 4_923, 9_343, 10_660, 11_569, 11_967, 12_824, 12_996, 19_295, 21_600, 22_396, 28_290, 29_437,
         37_047, 41_459, 47_015, 49_981, 58_170, 62_670, 75_772, 80_659, 84_131, 101_316, 104_663, 107_576,
@@ -114,7 +114,7 @@ fn seeds_that_found_something_once_find_nothing_any_more() {
 }
 
 #[test]
-fn a_mission_without_faults_promises_the_same_up_to_the_last_act_that_is_compared() {
+fn fault_free_run_cut_at_last_compared_act_makes_the_same_promises() {
     let mut compared = 0;
     for ran in (0..400).map(run).filter(|ran| !ran.drawn.faults.is_empty()) {
         let Some(last) = ran.last_to_compare() else { continue };
@@ -135,7 +135,7 @@ fn a_mission_without_faults_promises_the_same_up_to_the_last_act_that_is_compare
 }
 
 #[test]
-fn the_journal_of_some_seeds_is_lost_and_the_mission_is_stopped() {
+fn some_seeds_lose_the_journal_and_stop_the_mission() {
     let full = (0..2_000).filter(|seed| draw(*seed).disk.capacity.is_some());
     let lost = |ran: &Ran| {
         let lost = |progress: &Progress| matches!(progress, Progress::JournalLost { .. });
@@ -152,7 +152,7 @@ fn the_journal_of_some_seeds_is_lost_and_the_mission_is_stopped() {
 }
 
 #[test]
-fn a_disk_that_stands_still_ends_the_mission_before_anything_moves() {
+fn stalled_disk_ends_the_mission_before_any_movement() {
     let seeds: Vec<u64> = (0..100).filter(|seed| draw(*seed).faults.is_empty()).collect();
     for seed in &seeds {
         let mut drawn = draw(*seed);
@@ -168,7 +168,7 @@ fn a_disk_that_stands_still_ends_the_mission_before_anything_moves() {
 }
 
 #[test]
-fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
+fn unnamed_stop_confirmation_ends_no_script_that_has_not_begun() {
     let unnamed = |drawn: &Drawn| drawn.robots.iter().any(|robot| robot.names == Names::LeftOut);
     let mut stopped = 0;
     for mut drawn in (0..400).map(draw).filter(unnamed) {
@@ -188,7 +188,7 @@ fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
 }
 
 #[test]
-fn a_robot_whose_clock_is_ahead_within_the_tolerance_keeps_its_lease_until_the_commitment() {
+fn robot_with_clock_ahead_within_tolerance_keeps_lease_until_commitment() {
     let steady = |drawn: &Drawn| drawn.network == Network::Stream && drawn.tail == 0.0;
     let mut played = 0;
     for mut drawn in (0..400).map(draw).filter(steady) {
@@ -234,7 +234,7 @@ fn run_calmly(drawn: Drawn) -> Ran {
 }
 
 #[test]
-fn a_clock_that_is_set_forward_before_the_decision_or_after_it_starts_no_robot_alone() {
+fn clock_set_forward_around_the_decision_starts_no_robot_alone() {
     let mut set = 0;
     for (part, far) in (0..8).flat_map(|part| [0.2, 0.5, 0.8].map(|far| (part, far))) {
         let faults = |[promised, _, start]: [Span; 3]| {
@@ -252,7 +252,7 @@ fn a_clock_that_is_set_forward_before_the_decision_or_after_it_starts_no_robot_a
 }
 
 #[test]
-fn a_clock_that_is_set_forward_while_no_process_lives_starts_no_robot_alone() {
+fn clock_set_forward_while_scheduler_is_down_starts_no_robot_alone() {
     let mut set = 0;
     for (resumed, far) in [10, 40].into_iter().flat_map(|resumed| [0.2, 0.5, 0.8].map(|far| (resumed, far))) {
         let faults = |[_, decided, start]: [Span; 3]| {
@@ -273,7 +273,7 @@ fn a_clock_that_is_set_forward_while_no_process_lives_starts_no_robot_alone() {
 }
 
 #[test]
-fn a_request_that_arrives_while_the_scheduler_stalls_starts_nothing() {
+fn request_arriving_while_scheduler_stalls_starts_nothing() {
     let mut late = 0;
     for far in [0.5, 0.7, 0.8, 0.9, 0.97] {
         let faults = |[promised, decided, start]: [Span; 3]| {
@@ -292,7 +292,7 @@ fn a_request_that_arrives_while_the_scheduler_stalls_starts_nothing() {
 }
 
 #[test]
-fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
+fn act_whose_robots_all_dropped_out_is_not_reported_as_played() {
     let mut left = 0;
     for mut drawn in (0..300).map(|seed| draw(seed).without_faults()) {
         for act in &mut drawn.choreography.acts {
@@ -322,7 +322,7 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
 }
 
 #[test]
-fn after_stops_missions_move_robots_together_or_report_why_they_stay() {
+fn after_a_stop_robots_move_together_or_the_reason_is_reported() {
     let schema = serde_json::from_str(downbeat_mission::report::SCHEMA).unwrap();
     let schema = jsonschema::validator_for(&schema).unwrap();
     let (mut arrived, mut on_the_way, mut stayed) = ([0; 2], [0; 2], [0; 2]);

@@ -34,7 +34,7 @@ fn help_and_documents_list_every_exit_code() {
 }
 
 #[test]
-fn the_readme_lists_every_command_and_no_other() {
+fn readme_lists_exactly_the_existing_commands() {
     let readme = document("README.md");
     let rows = readme.lines().skip_while(|line| !line.starts_with("| command |")).skip(2);
     let cells = rows.map_while(|row| row.strip_prefix("| `")?.split('|').next());
@@ -95,7 +95,7 @@ const FOREIGN: [&str; 25] = [
 const INSTALL: &str = "docs/install.md";
 
 #[test]
-fn every_option_that_a_document_names_exists() {
+fn every_documented_option_exists() {
     let mut known = std::collections::BTreeSet::new();
     options(&Cli::command(), &mut known);
     known.extend(FOREIGN.map(str::to_owned));
@@ -115,7 +115,7 @@ fn every_option_that_a_document_names_exists() {
 }
 
 #[test]
-fn the_schema_of_reports_lists_everything_that_ran_in_the_process_of_a_scheduler() {
+fn report_schema_lists_everything_run_inside_the_scheduler_process() {
     let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
     let listed = schema.pointer("/properties/inside/items/properties/what/enum").unwrap();
     let listed: BTreeSet<&str> = listed.as_array().unwrap().iter().filter_map(|word| word.as_str()).collect();

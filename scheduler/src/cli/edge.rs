@@ -199,7 +199,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_terminal_is_told_once_that_hardware_is_lost_and_once_that_it_is_back() {
+    fn hardware_loss_and_return_are_each_printed_once() {
         let (begin, mut told) = (Instant::now(), Told::default());
         let lost = HardwareEvent::Lost("the hardware is not available: no port".to_owned());
         let there = HardwareEvent::There { latency: BTreeMap::new() };
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_of_all_devices_or_of_one_and_within_bounds() {
+    fn sample_options_apply_to_all_devices_or_one_within_bounds() {
         assert_eq!(samples("25"), Ok(Samples { device: None, rate: 25.0 }));
         let arm = DeviceId::new("arm").unwrap();
         assert_eq!(samples("arm=100"), Ok(Samples { device: Some(arm), rate: 100.0 }));
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn however_many_different_things_go_wrong_few_lines_are_printed() {
+    fn many_different_faults_print_only_a_few_lines() {
         let (now, mut told) = (Instant::now(), Told::default());
         let events = (0..100).map(|i| HardwareEvent::Unread(format!("fault {i}")));
         assert_eq!(events.filter_map(|event| told.line("r", &event, now)).count(), QUIET.1);

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_alone_is_one_of_this_machine() {
+    fn port_without_host_means_localhost() {
         assert_eq!(parse("9464"), Ok("127.0.0.1:9464".parse().unwrap()));
         assert_eq!(parse("0.0.0.0:9464"), Ok("0.0.0.0:9464".parse().unwrap()));
         for wrong in ["", "70000", "localhost", "here:9464"] {

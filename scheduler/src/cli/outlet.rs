@@ -284,7 +284,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_that_find_no_room_are_counted_in_their_place() {
+    fn lines_without_room_are_counted_at_their_position() {
         // The outlet has no output thread, so that no entry is taken from the queue.
         let outlet = Outlet(Arc::default());
         let offer = |lines| (0..lines).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn dropped_lines_are_counted_as_soon_as_there_is_a_reader_though_no_line_follows() {
+    fn dropped_lines_are_reported_to_new_reader_without_further_lines() {
         let outlet = Outlet(Arc::default());
         (0..WAITING_MAX + 7).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
         let entries = next_entries(&outlet.0);

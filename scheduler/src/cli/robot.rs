@@ -371,7 +371,7 @@ mod tests {
     use crate::cli::{Cli, Command};
 
     #[test]
-    fn a_clock_may_be_behind() {
+    fn clock_offset_may_be_negative() {
         for (time, expected) in [("-80ms", -80), ("80ms", 80)] {
             let args = ["downbeat", "robot", "--init", "arm.yaml", "--clock-offset", time, "--no-ntp"];
             let parsed = Cli::try_parse_from(args).map(|cli| cli.command);

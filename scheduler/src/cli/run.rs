@@ -734,7 +734,7 @@ mod tests {
     use crate::cli::Cli;
 
     #[test]
-    fn an_approach_goes_with_options_that_choose_acts_and_with_none_that_takes_robots_or_binds_the_plan() {
+    fn approach_allows_act_options_but_not_seize_or_certificate_options() {
         let goes_with = |more: &[&str]| {
             let approach = ["downbeat", "run", "show.yaml", "--approach", "5s"];
             Cli::try_parse_from([&approach[..], more].concat()).is_ok()

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_collector_is_reached_by_plain_http() {
+    fn collector_url_must_be_plain_http() {
         for url in ["http://localhost:4318", "http://[::1]:4318/", "http://10.0.0.7:4318/otlp"] {
             assert_eq!(parse(url), Ok(url.to_owned()));
         }

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reasons_are_labels_in_small_letters() {
+    fn reason_labels_are_lowercase() {
         assert_eq!(label(Reason::MadeRoom), "made_room");
         assert_eq!(label(Reason::ManyFromOneHost), "many_from_one_host");
     }

@@ -109,7 +109,7 @@ mod tests {
     const DOCUMENT: &str = include_str!("../../../docs/operations.md");
 
     #[test]
-    fn the_document_lists_every_metric_with_its_kind_its_label_and_what_it_says() {
+    fn document_lists_every_metric_with_kind_label_and_help() {
         let row = |metric: &&Metric| {
             let label = if metric.label.is_empty() { String::new() } else { format!("`{}`", metric.label) };
             let kind = format!("{:?}", metric.kind).to_lowercase();
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn names_end_with_their_unit_and_counters_with_total() {
+    fn metric_names_end_with_unit_and_counters_with_total() {
         for metric in ALL {
             assert_eq!(metric.name.ends_with("_total"), metric.kind == Kind::Counter, "{}", metric.name);
             assert!(metric.kind != Kind::Histogram || metric.name.ends_with("_seconds"), "{}", metric.name);

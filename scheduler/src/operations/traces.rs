@@ -507,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mission_is_a_tree_of_what_led_to_each_start_and_what_each_robot_did() {
+    fn mission_trace_is_a_tree_of_start_phases_and_robot_activity() {
         let told = [
             (100, greeted()),
             (110, preparing("wave", 105)),
@@ -551,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_that_follows_itself_is_two_acts_and_each_robot_ends_in_the_one_that_it_plays() {
+    fn repeated_act_has_two_spans_and_robots_end_in_the_one_they_play() {
         let told = [
             (10, preparing("loop", 10)),
             (20, Progress::Accepted { robot: id("a") }),
@@ -578,7 +578,7 @@ mod tests {
     }
 
     #[test]
-    fn what_goes_wrong_is_marked_at_the_robot_and_the_mission_and_leaves_no_span_open() {
+    fn failure_is_marked_on_robot_and_mission_and_leaves_no_span_open() {
         let reason = "reset by peer".to_owned();
         let failure = Failure { robot: id("a"), kind: FailureKind::LinkDown { reason } };
         let told = [
@@ -603,7 +603,7 @@ mod tests {
     }
 
     #[test]
-    fn an_outcome_has_the_name_that_the_report_gives_it() {
+    fn outcome_name_matches_the_report() {
         let late = Outcome::DecisionLate { by: ms(2) };
         assert_eq!(
             (name(&Outcome::DoneWithout), name(&late)),
@@ -612,7 +612,7 @@ mod tests {
     }
 
     #[test]
-    fn a_collector_that_is_not_there_is_told_of_and_waited_for_no_longer_than_it_says() {
+    fn missing_collector_is_reported_after_a_limited_wait() {
         let traces = Traces::to("http://127.0.0.1:9").unwrap();
         let about = About { scenario: "show".to_owned(), session: None, robots: 1 };
         traces.watch(at(0), about).close(at(1), Some(&Outcome::Done));

@@ -262,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_of_zenoh_is_an_address_and_one_place() {
+    fn zenoh_key_is_an_address_of_one_place() {
         let address: Address = "zenoh:hall-2/arm-1".parse().unwrap();
         assert_eq!(address, Address::Zenoh { key: "hall-2/arm-1".to_owned() });
         assert_eq!(address.to_string(), "zenoh:hall-2/arm-1");

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_hold_the_curve_and_lie_close_to_it() {
+    fn bounds_contain_the_curve_and_are_close_to_it() {
         // 4 t (1 - t) + 1 from 0 to 0.75, which includes its maximum.
         let [least, most] = bounds(&piece(0.75, &[1.0, 4.0, -4.0]));
         assert!((least - 1.0).abs() < 1e-12 && (2.0..2.002).contains(&most), "{least} {most}");
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parabola_bends_everywhere_alike() {
+    fn parabola_has_constant_bend() {
         assert!((bend(&piece(2.0, &[1.0, 4.0, -4.5])) - 9.0).abs() < 1e-12);
         assert_eq!(bend(&piece(2.0, &[1.0, 4.0])), 0.0);
     }

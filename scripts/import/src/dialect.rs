@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_separator_is_the_one_that_the_first_line_uses_or_states() {
+    fn separator_is_the_one_used_or_stated_in_the_first_line() {
         for (text, separator, skipped) in [
             ("a,b", ',', 0),
             ("a;b;c", ';', 0),
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn decimal_commas_are_found_where_no_number_leaves_doubt() {
+    fn decimal_comma_is_detected_if_no_number_is_ambiguous() {
         for (text, decimal) in [
             ("a;b\n0,5;1", Some(Decimal::Comma)),
             ("a;b\n1.000,5;1", Some(Decimal::Comma)),
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_lose_their_thousands_and_keep_their_value() {
+    fn thousands_separators_are_removed_and_values_kept() {
         let comma = |text| plain(text, Some(Decimal::Comma)).map(Cow::into_owned);
         for (text, expected) in [
             ("1.000,5", "1000.5"),
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_begins_where_rows_agree_on_more_cells() {
+    fn table_begins_where_rows_agree_on_more_cells() {
         let behind = |text: &str| {
             let source = Source { name: String::new(), text: text.into() };
             table_behind_title(&source, dialect(text))

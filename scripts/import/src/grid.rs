@@ -78,14 +78,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_range_is_rounded_outward() {
+    fn range_is_rounded_outward() {
         let grid = grid_of(&[-3.6678, -3.01], "m");
         assert_eq!((grid.min, grid.max, grid.granularity), (-3.67, -3.01, 1e-4));
         assert_eq!((grid_of(&[0.0, 0.0], "rad").min, grid_of(&[0.0], "rad").max), (-1.0, 1.0));
     }
 
     #[test]
-    fn servo_steps_are_recognised_though_some_values_lie_off() {
+    fn servo_steps_are_recognised_despite_some_outliers() {
         let mut values: Vec<f64> = (0..95).map(|n| f64::from(n) * SERVO_STEP_DEG).collect();
         values.push(45.0);
         let grid = grid_of(&values, "deg");

@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cubic_is_followed_exactly() {
+    fn cubic_is_reproduced_exactly() {
         let cubic = |t: f64| t * t * t - 2.0 * t + 1.0;
         let slope = |t: f64| 3.0 * t * t - 2.0;
         let points = [0.5, 2.0, 3.0].map(|t| Point { at_s: t, value: cubic(t), slope: slope(t) });

@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rate_gives_its_multiples_and_the_end() {
+    fn sampled_times_are_multiples_of_the_period_and_the_end() {
         assert_eq!(sampled_times(4.25, 50.0).len(), 214);
         assert_eq!(sampled_times(198.0, 10.0).len(), 1_981);
         let times: Vec<i64> = sampled_times(0.1, 30.0).into_iter().map(Span::as_nanos).collect();
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn headings_go_on_past_a_turn_in_either_direction() {
+    fn headings_are_unwrapped_in_both_directions() {
         let values = [350.0, 10.0, 30.0, 340.0, 0.0, 355.0];
         let mut keyframes: Vec<_> =
             (0..).zip(values).map(|(ms, value)| Keyframe { at: Span::from_millis(ms), value }).collect();

@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn endless_loops_end_with_the_show_and_nothing_runs_away() {
+    fn endless_loops_end_with_the_show_and_runaway_programs_are_refused() {
         let lights = play(&[12, 0, 7, 5, 6, 5, 13], 1_000).unwrap();
         assert!(lights.endless && lights.glows.len() == 11, "{}", lights.glows.len());
         for wrong in

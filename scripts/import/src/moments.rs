@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_read_in_their_usual_spellings() {
+    fn units_are_read_in_common_spellings() {
         let millis = Said::Unit(TimeUnit::Nanos(1_000_000));
         for header in [
             "Time [msec]",
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn clock_times_are_read_where_only_one_reading_fits() {
+    fn clock_times_are_read_only_if_unambiguous() {
         let nanos = |unit: &str, text| {
             unit.parse::<TimeUnit>().ok().and_then(|unit| unit.time(text)).map(Span::as_nanos)
         };
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_read_to_the_nanosecond() {
+    fn numeric_times_are_read_to_the_nanosecond() {
         let nanos = |size, text| TimeUnit::Nanos(size).time(text).map(Span::as_nanos);
         let second = 1_000_000_000;
         assert_eq!(nanos(second, "1795462200.123456789"), Some(1_795_462_200_123_456_789));
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_and_timecodes_follow_the_rates_of_video() {
+    fn frames_and_timecodes_follow_video_frame_rates() {
         let nanos = |unit: TimeUnit, text| unit.time(text).map(Span::as_nanos);
         assert_eq!(nanos(TimeUnit::Frames(29.97), "30000"), Some(1_001_000_000_000));
         assert_eq!(nanos(TimeUnit::Frames(23.976), "24"), Some(1_001_000_000));
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn dates_count_from_1970_in_utc() {
+    fn dates_are_converted_to_unix_time() {
         let nanos = |text| TimeUnit::Date.time(text).map(Span::as_nanos);
         assert_eq!(nanos("1970-01-01T00:00:00Z"), Some(0));
         // The reference is `date --date ... +%s`.
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn unix_times_are_known_by_their_size() {
+    fn unit_of_unix_times_is_inferred_from_their_size() {
         let unit = |first, last| unix(first, last).map(|(word, _)| word);
         assert_eq!(unit("1795462200.25", "1795462300"), Some("s"));
         assert_eq!(unit("1795462200250", "1795462300000"), Some("ms"));

@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ten_comes_after_two() {
+    fn names_with_numbers_are_in_natural_order() {
         let mut names = ["10", "pp2", "1", "2", "pp10", "pp1", "19"];
         names.sort_by(|a, b| natural_order(a, b));
         assert_eq!(names, ["1", "2", "10", "19", "pp1", "pp2", "pp10"]);

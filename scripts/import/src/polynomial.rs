@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trajectory_is_its_pieces_one_after_the_other() {
+    fn trajectory_consists_of_its_pieces_in_sequence() {
         let piece = |duration_s, x: [f64; 2]| {
             let mut coefficients = [[0.0; COEFFICIENTS]; AXES.len()];
             coefficients[0][..2].copy_from_slice(&x);

@@ -541,7 +541,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bezier_curve_is_the_same_as_powers() {
+    fn bezier_curve_equals_its_power_form() {
         let points = [1.0, -2.0, 4.0, 0.5];
         let powers = coefficients(&points, 2.5);
         for step in 0..=10 {

@@ -212,7 +212,7 @@ mod tests {
     const COMMAS: Dialect = Dialect { separator: ',', skipped: 0, decimal: None };
 
     #[test]
-    fn a_header_behind_a_hash_keeps_its_places() {
+    fn header_after_a_hash_keeps_its_cell_positions() {
         let text = "# made by hand\n# duration, x\n1,2\n# t,u\n3,4\n";
         let source = Source { name: "t.csv".into(), text: text.into() };
         let rows: Vec<_> = rows(&source, COMMAS).collect();
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_keep_their_places_and_lose_their_quotes() {
+    fn cells_keep_their_positions_and_lose_their_quotes() {
         let source = Source { name: "t.csv".into(), text: "a,b\n\n# c\n \"1,5\" , 2,\n".into() };
         let mut rows: Vec<_> = rows(&source, COMMAS).collect();
         assert_eq!(rows.len(), 2);
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn blanks_separate_cells_but_not_a_name_and_its_unit() {
+    fn blanks_separate_cells_but_not_a_name_from_its_unit() {
         let text = "  # Time [s]  x [m]\n  0.5   \"a b\" \n";
         let source = Source { name: "t.txt".into(), text: text.into() };
         let dialect = Dialect { separator: ' ', ..COMMAS };

@@ -101,7 +101,7 @@ fn every_format_is_read() {
 }
 
 #[test]
-fn what_is_read_is_what_stands_there() {
+fn imported_values_match_the_file() {
     let devices = |format, text| -> Vec<(String, Vec<(f64, f64)>)> {
         let imported = imported(format, text).imported.unwrap();
         imported.devices().map(|(_, device)| (device.device.clone(), keyframes(device))).collect()
@@ -122,7 +122,7 @@ fn what_is_read_is_what_stands_there() {
 }
 
 #[test]
-fn scalars_read_back_as_the_text_that_was_written() {
+fn scalars_are_read_back_as_written() {
     for text in
         ["1", "y", "true", "a: b", "#", "", " ", "é\u{1F916}", "\u{0}\n", "- x", "null", "cf1", "1e5", "~"]
     {
@@ -133,7 +133,7 @@ fn scalars_read_back_as_the_text_that_was_written() {
 }
 
 #[test]
-fn numbers_read_back_as_they_were() {
+fn numbers_are_read_back_unchanged() {
     for value in [0.0, -0.1, 0.087890625, 1e300, -1.5e-300, 123_456.789, 1e15, 1e-9] {
         let source = Source { name: String::new(), text: format!("k: {}\n", yaml::number(value)) };
         let expected = Node::Map(vec![("k".into(), Node::Number(value))]);
@@ -142,7 +142,7 @@ fn numbers_read_back_as_they_were() {
 }
 
 #[test]
-fn folders_are_robots_and_their_files_scenes_in_numerical_order() {
+fn folders_become_robots_and_files_scenes_in_numerical_order() {
     let folder = tempfile(&["1/10.csv", "1/2.csv", "2/10.csv", "2/2.csv"], CRAZYSWARM);
     let outcome =
         import(ImportFormat::Crazyswarm, std::slice::from_ref(&folder.0), &ImportOptions::default());
@@ -186,7 +186,7 @@ fn mutated(text: &str, changes: &[(usize, u8, String)]) -> String {
 }
 
 #[test]
-fn brackets_within_brackets_are_refused_at_once() {
+fn deeply_nested_brackets_are_refused_at_once() {
     let deep = format!("{{\"keyframes\": {}", "[".repeat(100_000));
     let outcome = imported(ImportFormat::Bitbots, &deep);
     assert!(outcome.findings[0].message.contains("more than 500 levels deep"), "{:?}", outcome.findings);
@@ -212,7 +212,7 @@ proptest! {
     }
 
     #[test]
-    fn broken_songs_never_panic(changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..8), length in any::<usize>()) {
+    fn broken_midi_files_never_panic(changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..8), length in any::<usize>()) {
         let mut bytes = fixture_of("beat.mid");
         for (at, byte) in changes {
             let at = at % bytes.len();
@@ -227,7 +227,7 @@ proptest! {
     }
 
     #[test]
-    fn times_of_any_text_never_panic(text in "[0-9]{0,30}[0-9:;.,eE+TZ -]{0,30}[0-9]{0,30}", rate in 0.001..1_000.0) {
+    fn times_from_arbitrary_text_never_panic(text in "[0-9]{0,30}[0-9:;.,eE+TZ -]{0,30}[0-9]{0,30}", rate in 0.001..1_000.0) {
         use TimeUnit::{Date, Frames, HoursMinutesSeconds, MinutesSeconds, MinutesSecondsMillis, Nanos, Timecode};
         for unit in [Nanos(1), Nanos(3_600_000_000_000), Frames(rate), Timecode(rate), Timecode(29.97)] {
             unit.time(&text);
@@ -240,7 +240,7 @@ proptest! {
 
 /// ROS and Webots use radians and metres.
 #[test]
-fn joints_become_the_units_of_the_robot() {
+fn joint_values_are_converted_to_the_units_of_the_robot() {
     let device = |id: &str, unit: &str| {
         format!(
             r#"{{"id": "{id}", "name": "{id}", {unit} "interpolation": "linear", "available_control_types": {{

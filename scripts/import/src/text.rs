@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_in_utf16_and_with_old_line_ends_is_read() {
+    fn utf16_text_and_old_line_endings_are_read() {
         let text = "t;Hüfte\r\n1;2\r3;4\n🦾";
         let le: Vec<u8> =
             [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();

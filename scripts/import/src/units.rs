@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_of_one_kind_convert() {
+    fn units_of_the_same_kind_are_convertible() {
         assert_eq!(factor("cm", "mm"), Some(10.0));
         assert!(factor("rad", "deg").is_some_and(|f| (f - 57.295_779_513).abs() < 1e-9));
         assert_eq!(factor("rad", "m"), None);

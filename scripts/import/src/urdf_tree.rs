@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_leads_from_the_root_to_the_link_at_which_it_ends() {
+    fn chain_leads_from_the_root_to_the_chosen_end_link() {
         let hand = between("finger", "hand", "tip", "") + &between("eye", "hand", "camera", "");
         let arm = between("wrist", "arm", "hand", "") + &between("elbow", "base", "arm", "");
         let tree_of = read(&(hand + &arm)).unwrap();
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn round_shapes_are_held_by_a_capsule_about_the_link() {
+    fn capsule_around_link_encloses_round_shapes() {
         let shape = |origin: &str, shape: &str| {
             format!("<collision>{origin}<geometry>{shape}</geometry></collision>")
         };
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_at_its_place_and_all_at_once() {
+    fn all_faults_are_reported_at_once_with_their_positions() {
         let faults = between("a", "x", "y", "<origin xyz=\"0 1\"/>")
             + &between("b", "x", "z", "<axis xyz=\"0 0 0\"/>")
             + "<joint name=\"c\" type=\"fixed\"><parent link=\"x\"/></joint>\n"

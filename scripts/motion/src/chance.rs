@@ -42,14 +42,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_alone_gives_the_first_number_of_splitmix64() {
+    fn seed_alone_gives_the_first_splitmix64_number() {
         // From the reference implementation, splitmix64.c by Sebastiano Vigna, with the state 1234567.
         assert_eq!(drawn(&[1_234_567.0]), 6_457_827_717_110_365_317);
         assert_eq!(drawn(&[0.0]), 0xe220_a839_7b1d_cdaf);
     }
 
     #[test]
-    fn every_number_counts_and_shares_are_below_one() {
+    fn every_number_affects_the_draw_and_shares_are_below_one() {
         assert_ne!(drawn(&[7.0, 0.0]), drawn(&[7.0, 1.0]));
         assert_ne!(drawn(&[7.0, 0.0]), drawn(&[7.0]));
         assert_ne!(drawn(&[7.0, 0.5]), drawn(&[7.0, 0.25]));

@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn decimals_are_read_as_they_are_written() {
+    fn decimals_are_read_as_written() {
         assert_eq!(decimal("104.50"), Some(Ratio::new(209, 2)));
         assert_eq!(decimal(".25"), Some(Ratio::new(1, 4)));
         assert_eq!(decimal("7"), Some(Ratio::from_integer(7)));
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn laps_from_a_known_start_end_where_their_sum_ends_and_others_never_later() {
+    fn laps_with_known_start_end_exactly_and_others_never_later() {
         let third = Exact(Ratio::new(10, 3));
         let start = Beginning(Some(Exact(Ratio::new(1, 3))));
         let begins = |from| [0, 1, 2, 3].map(|lap| Laps { length: third, from }.begin(lap).as_nanos());
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sum_of_many_fractions_stays_close() {
+    fn sum_of_many_fractions_stays_accurate() {
         let (mut sum, mut reference) = (Exact::ZERO, 0.0);
         for i in 1..2_000i128 {
             sum = sum.plus(Exact(Ratio::new(60_000_000_000, 2 * i + 1)));

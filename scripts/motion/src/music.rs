@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_follow_the_changes_of_tempo_and_signature() {
+    fn positions_follow_tempo_and_signature_changes() {
         let millis = |text| music(None).position(text).unwrap().unwrap().rounded().as_millis_f64();
         assert_eq!(millis("bar 1"), 0.0);
         assert_eq!(millis("bar 1 beat 2.5"), 750.0);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_across_a_change_counts_the_beats_of_both_tempos() {
+    fn length_across_tempo_change_includes_beats_of_both_tempos() {
         let millis = |start, text| music(Some(start)).span(text).unwrap().unwrap().rounded().as_millis_f64();
         assert_eq!(millis(0, "4 beats"), 2_000.0);
         assert_eq!(millis(3_000, "4 beats"), 3_000.0);
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_under_changing_tempo_needs_a_fixed_start() {
+    fn length_under_changing_tempo_needs_a_fixed_start() {
         assert_eq!(music(None).span("2 beats"), Some(Err(NoMusicalLength::StartNotFixed)));
         assert_eq!(Music::default().span("2 beats"), Some(Err(NoMusicalLength::WithoutTempo)));
         assert_eq!(music(None).span("2 parsecs"), None);

@@ -476,7 +476,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scripts_with_equal_steps_are_one_and_others_stay_as_they_are() {
+    fn scripts_with_equal_steps_are_shared_and_others_unchanged() {
         let script = |value: f64, running: Option<f64>| {
             let step = Step {
                 stop_condition: running.map(|millis| StopCondition::both(Millis::new(millis).unwrap())),

@@ -290,7 +290,7 @@ mod tests {
     use RefillKind::{First, Later};
 
     #[test]
-    fn the_next_script_has_the_time_of_those_between() {
+    fn time_for_next_script_is_that_of_the_scripts_in_between() {
         let acts = || vec![act(&[1_000, 2_000, 3_000, 4_000], Way::End)];
         assert_eq!(of(acts(), 2), [(0, Later, 2_000)]);
         assert_eq!(of(acts(), 3), [(0, Later, 5_000)]);
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn across_acts_that_follow_at_once_the_chain_goes_on() {
+    fn refill_chain_continues_across_acts_that_follow_at_once() {
         let acts = || vec![act(&[1_000, 500], Way::Act(1)), act(&[300, 700], Way::End)];
         assert_eq!(of(acts(), 2), [(1, First, 500), (1, Later, 300)]);
         assert_eq!(of(acts(), 3), [(1, Later, 800)]);
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_that_waits_for_a_time_may_find_what_the_one_before_leaves() {
+    fn act_waiting_for_a_passed_time_may_start_with_leftover_scripts() {
         let mut acts = vec![act(&[1_000, 500], Way::Act(1)), act(&[300, 700], Way::End)];
         acts[1].wait = Wait::Operator;
         let choreography = Choreography { scenario: "s".into(), acts, requirements: Requirements::default() };
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn each_robot_has_a_refill_of_its_own_and_the_act_the_tightest() {
+    fn each_robot_has_its_own_refill_and_the_act_has_the_tightest() {
         let mut both = act(&[300, 300, 300], Way::End);
         let slower = act(&[500, 500, 500], Way::End).plan.robots.remove(0);
         both.plan.robots.push(RobotPlan { robot: "s".parse().unwrap(), ..slower });
@@ -338,20 +338,20 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_ends_before_its_act_makes_room_earlier() {
+    fn device_finishing_before_its_act_frees_room_earlier() {
         let first = act_of(vec![script("arm", 0, 1_000), script("leg", 0, 3_000)], Way::Act(1));
         assert_eq!(of(vec![first, act(&[1_000], Way::End)], 1), [(1, First, 2_000)]);
     }
 
     #[test]
-    fn an_act_that_the_device_has_no_part_in_gives_it_time() {
+    fn act_without_the_device_gives_it_more_time() {
         let pause = act_of(vec![script("leg", 0, 700)], Way::Act(2));
         let acts = vec![act(&[1_000], Way::Act(1)), pause, act(&[1_000], Way::End)];
         assert_eq!(of(acts, 1), [(2, First, 700)]);
     }
 
     #[test]
-    fn circles_and_lines_that_meet_are_followed() {
+    fn circular_and_merging_lines_of_acts_are_followed() {
         assert_eq!(of(vec![act(&[1_000, 200], Way::Act(0))], 2), [(0, First, 200), (0, Later, 1_000)]);
         // The second act also leads to the third, and leaves more scripts on the device.
         let mut second = act(&[1_000, 100], Way::Act(2));
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tightest_refill_of_an_act_names_the_script_that_makes_room_for_it() {
+    fn tightest_refill_of_an_act_names_the_script_that_frees_room() {
         let acts = vec![act(&[900, 100], Way::Act(1)), act(&[400, 300, 200, 100], Way::End)];
         let choreography = Choreography { scenario: "s".into(), acts, requirements: Requirements::default() };
         let refills_of = |queue| refills(&choreography, |_, _| queue, Span::ZERO);
@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_that_waits_for_room_gives_its_later_scripts_more_time() {
+    fn act_waiting_for_room_gives_its_later_scripts_more_time() {
         // The first act leaves two scripts on the device, which end when it ends.
         let mut first = act(&[1_000, 0], Way::Act(1));
         first.plan.robots[0].scripts.remove(0);
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn thousands_of_lines_that_meet_in_a_long_act_take_no_time() {
+    fn thousands_of_merging_lines_in_a_long_act_are_processed_quickly() {
         let long = act(&vec![10; 20_000], Way::End);
         let short = |_| Act { wait: Wait::Operator, ..act(&[10], Way::Act(0)) };
         let acts: Vec<Act> = std::iter::once(long).chain((0..20_000).map(short)).collect();

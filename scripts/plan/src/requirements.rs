@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_share_of_trials_is_compared_exactly() {
+    fn share_of_trials_is_compared_exactly() {
         let share = Share::from_billionths(999_000_000);
         assert!(Floor::AtLeast(share).holds(999, 1_000));
         assert!(!Floor::Above(share).holds(999, 1_000));
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_differ_in_whether_they_are_allowed_themselves() {
+    fn bounds_are_inclusive_or_exclusive_as_stated() {
         let bound = Span::from_millis(5);
         assert!(!Ceiling::Below(bound).holds(bound));
         assert!(Ceiling::AtMost(bound).holds(bound));

@@ -90,6 +90,7 @@ struct Told {
     count: usize,
     /// The index in [`Reader::found`] of the last finding that is reported.
     last: usize,
+    /// Number of findings beyond the maximum, which are not reported.
     more: usize,
 }
 
@@ -290,7 +291,7 @@ impl Reader {
         }
     }
 
-    /// Returns all findings. If there were too many errors or warnings, the last one of them states how many are not shown.
+    /// Returns all findings. If there may be too many errors or warnings, the last one of them states the maximum number.
     pub fn finish(mut self) -> Vec<Pending> {
         if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
             for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
@@ -302,10 +303,15 @@ impl Reader {
                 found.message = affected.message();
             }
         }
-        for told in self.told.iter().filter(|told| told.more > 0) {
-            if let Some(last) = self.found.get_mut(told.last) {
-                last.message.push_str(&format!(" (and {} more findings, which are not shown)", told.more));
-            }
+        for told in self.told.iter().filter(|told| told.count == FINDINGS_MAX) {
+            let Some(last) = self.found.get(told.last).cloned() else { continue };
+            // A finding may occur once for each use of an item. Equal ones are merged later.
+            let equal = |found: &&mut Pending| found.place == last.place && found.message == last.message;
+            self.found.iter_mut().filter(equal).for_each(|found| {
+                found
+                    .message
+                    .push_str(&format!(" (at most {FINDINGS_MAX} findings of this severity are shown)"))
+            });
         }
         self.found
     }
@@ -423,10 +429,9 @@ impl Reader {
             match known.iter().position(|name| name == key) {
                 Some(index) if values[index].is_none() => values[index] = Some(at.entry(key, 0, node)),
                 Some(index) => self.duplicate(&at.entry(known[index], 1, node), key),
+                None if self.is_full() => self.told[0].more += 1,
                 None => {
                     let hint = match key.as_str() {
-                        // No hint is shown, and a hint compares names.
-                        _ if self.is_full() => None,
                         "<<" => Some("merge keys are not supported: write the keys out in full".to_owned()),
                         _ if syntax::without_space(key, known).is_some() => syntax::without_space(key, known),
                         _ => syntax::without_colon(key, known)

@@ -263,7 +263,7 @@ mod tests {
     const CUES: &str = "cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 0s, to: 0}, {at: 4s, to: 80, ease: smooth}], lamp: [{at: 0s, to: 50}]}}]";
 
     #[test]
-    fn only_devices_that_the_scenario_has_moved_move_home() {
+    fn only_devices_moved_by_scenario_return_home() {
         let acts = acts(&format!("at_end: home\nstart_tolerance: 20ms\n{CUES}"));
         assert_eq!(
             acts.iter().map(|act| (act.name.as_str(), act.next)).collect::<Vec<_>>(),
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_duration_is_kept_and_one_that_is_too_short_is_refused_where_it_stands() {
+    fn home_duration_is_kept_or_refused_on_its_line_if_too_short() {
         let long = acts(&format!("at_end: {{home: 9s}}\n{CUES}"));
         assert_eq!(moved(&long[1], "joint"), Some(([80.0, 0.0], Span::from_millis(9_000))));
         let short = compiled(&format!("at_end: {{home: 1s}}\n{CUES}")).findings;
@@ -296,7 +296,7 @@ mod tests {
 ";
 
     #[test]
-    fn each_way_to_the_end_has_its_own_way_home() {
+    fn each_path_to_end_has_its_own_home_act() {
         let acts = acts(&format!("at_end: home\n{}", WAYS.replace("NEXT", "end").replace("LAST", "end")));
         let ways: Vec<_> = acts.iter().map(|act| (act.name.as_str(), act.next)).collect();
         assert_eq!(
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_that_depends_on_the_way_is_refused() {
+    fn position_that_depends_on_previous_acts_is_refused() {
         let last = "  - {act: last, cues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 7}]}}]}\n";
         let ways = WAYS.replace("NEXT", "last").replace("LAST", "last");
         let findings = compiled(&format!("at_end: home\n{ways}{last}")).findings;
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mission_that_ends_because_a_wait_timed_out_goes_home_from_where_it_is() {
+    fn mission_ended_by_wait_timeout_returns_home_from_current_positions() {
         let text = format!(
             "at_end: home\nacts:\n  - {{act: one, {CUES}}}\n  - {{act: two, wait: {{for: operator, timeout: 1s, otherwise: end}}, \
              cues: [{{at: 0s, robots: arm, tracks: {{joint: [{{at: 2s, to: 0}}], lamp: [{{at: 0s, to: 0}}]}}}}]}}\n"
@@ -334,14 +334,14 @@ mod tests {
     }
 
     #[test]
-    fn an_end_at_which_every_device_is_already_home_is_refused() {
+    fn end_with_every_device_already_home_is_refused() {
         let there = "at_end: home\ncues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 0}]}}]\n";
         let findings = compiled(there).findings;
         assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::NothingToDo]);
     }
 
     #[test]
-    fn what_a_failure_does_in_the_last_act_it_does_on_the_way_home() {
+    fn home_act_keeps_failure_policy_of_last_act() {
         let acts = acts(&format!(
             "at_end: home\non_failure: {{default: without, arm: home}}\non_doubt: withdraw\n{CUES}"
         ));
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_was_driven_by_speed_is_at_no_known_position() {
+    fn speed_controlled_joint_has_unknown_position_at_end() {
         let track = "joint: {control: speed, keyframes: [{at: 0s, to: 20}, {at: 1s, to: 0}]}";
         let driven = format!(
             "at_end: home\ncues: [{{at: 0s, robots: arm, tracks: {{{track}, still: [{{at: 0s, to: 5}}]}}}}]\n"
@@ -365,7 +365,7 @@ mod tests {
 
     /// After a timeout, the act that would have moved the joint is skipped.
     #[test]
-    fn a_way_that_leaves_an_act_out_makes_a_position_unknown() {
+    fn skipped_act_makes_position_unknown() {
         let text = "at_end: home\nacts:
   - {act: one, wait: {for: operator, timeout: 1s, otherwise: two}, cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 2s, to: 60}]}}]}
   - {act: two, cues: [{at: 0s, robots: arm, tracks: {lamp: [{at: 0s, to: 9}]}}]}\n";
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_different_ends_are_refused_at_once() {
+    fn too_many_different_ends_are_refused_with_one_finding() {
         let act = |number: usize| {
             format!(
                 "  - {{act: a{number}, wait: {{for: operator, timeout: 1s, otherwise: end}}, \

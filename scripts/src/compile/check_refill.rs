@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_held_for_a_second_is_in_time_in_every_act() {
+    fn scripts_of_one_second_are_refilled_in_time_in_every_act() {
         for queue in 2..=4 {
             for counts in 0..64 {
                 // One to four scripts in each of three acts; each has two steps, one second apart.
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_that_starts_when_room_for_it_appears_is_refused_on_its_line() {
+    fn script_starting_when_queue_space_frees_up_is_refused_on_its_line() {
         assert_eq!(found(acts(&[2, 2], 2_000), &fleet(2, 1)), [("DB0047", 6)]);
         assert_eq!(found(acts(&[2, 2], 2_000), &fleet(3, 1)), []);
         // Here the act must wait for room, which gives its second script more time.
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_with_less_than_a_round_trip_or_two_is_worth_a_warning() {
+    fn script_with_too_little_time_for_resend_gets_warning() {
         let late = |at: &str| {
             acts(&[2, 2], 2_000).replacen("    cues: [{robots", &format!("    cues: [{{at: {at}, robots"), 2)
         };
@@ -243,20 +243,20 @@ mod tests {
     }
 
     #[test]
-    fn an_act_that_waits_for_something_else_has_all_the_time() {
+    fn act_that_waits_for_operator_has_enough_time_to_refill() {
         let waiting =
             acts(&[2, 2], 2_000).replace("  - act: act 1\n", "  - act: act 1\n    wait: operator\n");
         assert_eq!(found(waiting, &fleet(2, 1)), []);
     }
 
     #[test]
-    fn with_a_queue_of_one_each_act_follows_with_a_gap() {
+    fn queue_of_one_leaves_gap_before_each_following_act() {
         assert_eq!(found(acts(&[2, 2, 2], 1_000), &fleet(1, 8)), [("DB0049", 6), ("DB0049", 8)]);
         assert_eq!(found(acts(&[2, 2, 2], 1_000), &fleet(2, 8)), []);
     }
 
     #[test]
-    fn what_helps_is_named_with_its_figures() {
+    fn hint_names_remedies_with_figures() {
         let source = Source { name: "s.yaml".into(), text: acts(&[2, 2], 2_000) };
         let compiled = compile(&source, &fleet(2, 1), &crate::NoFiles);
         let finding = compiled.findings.iter().find(|finding| finding.code.as_str() == "DB0047").unwrap();

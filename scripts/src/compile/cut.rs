@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_without_a_rest_before_it_begins_later_and_ends_on_time_if_its_start_is_corrected() {
+    fn corrected_script_without_preceding_rest_starts_later_but_ends_on_time() {
         let ramp = [(0, 0.0), (30, 30.0), (40, 40.0), (60, 60.0)];
         for (corrected, pause) in [(true, 3.0), (false, 0.0)] {
             let scripts = split(&ramp, &[2, 4], corrected);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_linear_movement_is_divided_at_values_that_the_device_can_take() {
+    fn long_linear_movement_is_divided_at_valid_device_values() {
         let divided = |of: &[(i64, f64)], granularity: f64| {
             let all = divided(steps(of), &rail(granularity), CORRECTED_EVERY);
             all.iter().map(|step| (step.offset.get() / 1_000.0, step.setpoint.value)).collect::<Vec<_>>()
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn two_clocks_drift_apart_by_a_third_of_the_tolerance_within_a_script() {
+    fn clocks_drift_by_at_most_third_of_tolerance_within_script() {
         for (tolerance, longest) in
             [(60_000, 30_000), (9_000, 30_000), (3_000, 10_000), (300, 1_000), (100, 1_000)]
         {
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn movements_are_cut_at_rests_into_scripts_of_about_one_length() {
+    fn movements_are_cut_at_rests_into_scripts_of_similar_length() {
         let ramp: Vec<_> = (0..=60).map(|at| (at, at as f64)).collect();
         assert_eq!(lengths(&ramp, 100, true), [31, 30], "without a rest");
         assert_eq!(lengths(&ramp[..32], 100, true), [16, 16], "the last script is not a short one");

@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cue_reaches_from_its_first_line_to_its_last() {
+    fn cue_spans_its_first_to_last_line() {
         let text = "scenario: s\ncues:\n  - cue: a\n    at: 0s\n    robots: r\n    tracks:\n      x:\n        - {at: 0s, to: 1}\n\
                     \n  # of b\n  - {cue: b, at: 1s,\n     robots: r}\n  - cue: c\n    robots: r\n# the end\n";
         let lines: Vec<_> = outlined(text).iter().map(|cue| (cue.first_line, cue.last_line)).collect();
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn relations_are_told_as_people_say_them() {
+    fn relations_are_described_in_plain_words() {
         let relations = |keys: &str| {
             let text =
                 format!("scenario: s\ncues:\n  - {{cue: a, robots: r}}\n  - {{cue: b, robots: r, {keys}}}\n");

@@ -305,7 +305,7 @@ fn check(path: &str, generated: &str) {
 }
 
 #[test]
-fn the_schemas_are_generated_from_the_keys() {
+fn schemas_are_generated_from_keys() {
     let (scenario, fleet, world) = (scenario::scenario_keys(), fleet::fleet_keys(), world_keys());
     let of = |root, name: &str| {
         schema_text(root, &format!("urn:downbeat:{name}.json"), &format!("Downbeat {name}"))
@@ -316,12 +316,12 @@ fn the_schemas_are_generated_from_the_keys() {
 }
 
 #[test]
-fn the_dictionary_of_the_fuzzer_is_generated_from_the_keys() {
+fn fuzzer_dictionary_is_generated_from_keys() {
     check("fuzz/keys.dict", &dictionary());
 }
 
 #[test]
-fn the_tables_of_keys_are_generated_from_the_keys() {
+fn key_tables_are_generated_from_keys() {
     let path = "docs/scenario.md";
     let document =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)).unwrap();
@@ -340,7 +340,7 @@ fn the_tables_of_keys_are_generated_from_the_keys() {
 }
 
 #[test]
-fn each_key_says_what_it_means() {
+fn every_key_is_documented() {
     let is_described =
         |key: &Key| !key.doc.is_empty() || matches!(key.kind, Kind::Named { .. } | Kind::Keys(_));
     for map in all_maps() {

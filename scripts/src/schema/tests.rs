@@ -279,7 +279,7 @@ fn check(of: Schema, recorded: Vec<Known>) {
 }
 
 #[test]
-fn the_schema_of_scenarios_lists_what_is_read() {
+fn scenario_schema_matches_its_reader() {
     let known = known::while_reading(|| {
         for text in SCENARIOS {
             let _compiled =
@@ -303,7 +303,7 @@ fn fleet() -> Fleet {
 }
 
 #[test]
-fn the_schema_of_fleets_lists_what_is_read() {
+fn fleet_schema_matches_its_reader() {
     let findings = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/sessions/findings/folder");
     let text = FLEET.replace("FINDINGS", findings);
     let folder = tempfile::tempdir().unwrap();
@@ -330,7 +330,7 @@ incidents:
 ";
 
 #[test]
-fn the_schema_of_worlds_lists_what_is_read() {
+fn world_schema_matches_its_reader() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("world.yaml");
     std::fs::write(&path, WORLD).unwrap();

@@ -10,7 +10,7 @@ fn scenario(paths: &str, cues: &str) -> String {
 }
 
 #[test]
-fn a_group_that_is_carried_keeps_its_shape_and_comes_back() {
+fn group_moved_along_path_keeps_its_shape_and_returns() {
     let cue = "  - {robots: [d0, d1, d2], along: {path: way, laps: 2}, over: 40s}\n";
     let act = sound(3, &scenario(EIGHT, cue));
     let steps = steps(&act, 3);
@@ -35,7 +35,7 @@ fn a_group_that_is_carried_keeps_its_shape_and_comes_back() {
 }
 
 #[test]
-fn a_circle_is_gone_along_at_its_radius() {
+fn circle_path_is_followed_at_its_radius() {
     let act =
         sound(1, &scenario("circle: {radius: 2}, rotate: -90", "  - {robots: d0, along: way, over: 10s}\n"));
     let steps = steps(&act, 1);
@@ -48,7 +48,7 @@ fn a_circle_is_gone_along_at_its_radius() {
 }
 
 #[test]
-fn a_group_that_turns_with_its_path_is_turned_about_its_middle() {
+fn group_turning_with_path_turns_about_its_centre() {
     let cue = "  - {robots: [d0, d1], along: {path: way, turning: true}, over: 20s}\n";
     let act = sound(2, &scenario("points: [[0, 0, 0], [3, 0, 0], [4, 1, 0], [4, 5, 0]]", cue));
     let steps = steps(&act, 2);
@@ -70,7 +70,7 @@ fn a_group_that_turns_with_its_path_is_turned_about_its_middle() {
 }
 
 #[test]
-fn robots_that_follow_go_through_the_places_of_those_before_them() {
+fn following_robots_pass_through_places_of_robots_ahead() {
     let cue = "  - {robots: [d3, d2, d1, d0], along: {path: way, follow: true}, over: 20s}\n";
     let act = sound(4, &scenario("points: [[0, 0, 0], [2, 0, 0], [4, 2, 1], [2, 4, 1]]", cue));
     let steps = steps(&act, 4);
@@ -91,7 +91,7 @@ fn robots_that_follow_go_through_the_places_of_those_before_them() {
 }
 
 #[test]
-fn what_is_wrong_with_a_path_is_found_where_it_stands() {
+fn each_path_fault_is_reported_once() {
     let found = |text: &str| {
         let findings = compiled(4, text).findings;
         findings.into_iter().map(|finding| (finding.code, finding.line, finding.message)).collect::<Vec<_>>()
@@ -130,7 +130,7 @@ cues:
 }
 
 #[test]
-fn a_row_that_cannot_follow_is_told() {
+fn row_that_cannot_follow_path_is_reported() {
     let cue = "  - {robots: [d0, d1, d2], along: {path: way, follow: true}, over: 20s}\n";
     let compiled = compiled(3, &scenario("points: [[0, 0, 0], [2, 0, 0]]", cue));
     let [finding] = compiled.findings.as_slice() else { panic!("{:#?}", compiled.findings) };
@@ -139,7 +139,7 @@ fn a_row_that_cannot_follow_is_told() {
 }
 
 #[test]
-fn points_are_the_same_once_they_are_scaled_and_laps_have_bounds() {
+fn scaled_path_points_must_differ_and_laps_are_bounded() {
     let found = |paths: &str, along: &str| {
         let cue = format!("  - {{robots: [d0, d1], along: {along}, over: 900s}}\n");
         let findings = compiled(2, &scenario(paths, &cue)).findings;
@@ -159,7 +159,7 @@ fn points_are_the_same_once_they_are_scaled_and_laps_have_bounds() {
 }
 
 #[test]
-fn a_group_is_told_what_it_can_do_about_its_limits_and_that_it_moves_as_one() {
+fn group_gets_hint_for_its_limits_and_cannot_spread_values() {
     let found =
         |cue: &str| compiled(2, &scenario(EIGHT, &format!("  - {{robots: [d0, d1], {cue}}}\n"))).findings;
     let beyond = found("shift: [70, 0, 0], over: 100s");

@@ -57,7 +57,7 @@ fn motions(act: &Act) -> Vec<Span> {
 }
 
 #[test]
-fn the_slowest_device_is_commanded_first_and_all_move_together() {
+fn slowest_device_is_commanded_first_so_all_move_together() {
     let ms = Span::from_millis;
     let acts = compiled([Some(60_000_000), Some(20_000_000), None]).acts;
     assert_eq!(acts[0].lead_in, ms(60));
@@ -69,7 +69,7 @@ fn the_slowest_device_is_commanded_first_and_all_move_together() {
 }
 
 #[test]
-fn an_act_waits_for_motions_that_outlast_their_commands() {
+fn act_waits_for_motions_that_outlast_their_commands() {
     // `b` ends the first act 300 ms after the others, and moves for another 90 ms.
     let acts = compiled([None, Some(90_000_000), None]).acts;
     assert_eq!(acts[1].lead_in, Span::from_millis(90));
@@ -79,7 +79,7 @@ fn an_act_waits_for_motions_that_outlast_their_commands() {
 }
 
 #[test]
-fn without_latencies_or_with_latencies_of_zero_nothing_changes() {
+fn zero_or_missing_latencies_change_nothing() {
     let plain = compiled([None; 3]);
     let mut zero = compiled([Some(0); 3]);
     zero.acts.iter_mut().for_each(|act| act.latencies.clear());
@@ -88,7 +88,7 @@ fn without_latencies_or_with_latencies_of_zero_nothing_changes() {
 }
 
 #[test]
-fn at_half_the_speed_latencies_stay_as_long_as_they_are() {
+fn latencies_are_unchanged_at_half_speed() {
     let fleet = Fleet::default();
     let slow = compiled([Some(60_000_000), None, None]).at_speed(0.5, &fleet).unwrap();
     let ms = Span::from_millis;
@@ -101,7 +101,7 @@ fn at_half_the_speed_latencies_stay_as_long_as_they_are() {
 
 proptest! {
     #[test]
-    fn motions_relate_to_each_other_as_written(
+    fn compensated_motions_keep_their_written_relations(
         latencies in prop::array::uniform3(prop::option::of(0i64..10_000_000_000)),
     ) {
         let written = compiled([None; 3]);

@@ -99,7 +99,7 @@ const MOVES: &str =
 ";
 
 #[test]
-fn moves_follow_each_other_and_begin_together() {
+fn moves_play_in_sequence_or_together() {
     check_moves(
         &format!(
             "{MOVES}  greet: {{parameters: {{high: 30}}, play: [{{move: up, parameters: {{to: $high}}}}, [{{move: nod}}, \
@@ -115,7 +115,7 @@ fn moves_follow_each_other_and_begin_together() {
 }
 
 #[test]
-fn what_is_played_can_be_changed_as_a_cue_changes_it() {
+fn played_moves_take_same_modifiers_as_cues() {
     check_moves(
         &format!(
             "{MOVES}  more: {{play: [{{move: nod, scale: 2, repeat: 3}}, {{move: nod, devices: {{b: a}}, mirror: true, \
@@ -129,7 +129,7 @@ fn what_is_played_can_be_changed_as_a_cue_changes_it() {
 }
 
 #[test]
-fn a_composed_move_is_changed_as_one_movement() {
+fn composed_move_is_modified_as_one_movement() {
     let moves = format!("{MOVES}  both: {{play: [{{move: up}}, {{move: nod}}, {{move: down}}]}}\n");
     let repeated = "  - {at: 0s, robots: left, move: both, repeat: 2, mirror: true}\n";
     let one = |at: u32| {
@@ -159,7 +159,7 @@ fn a_composed_move_is_changed_as_one_movement() {
 }
 
 #[test]
-fn beats_within_moves_are_laid_where_the_bars_lie() {
+fn beats_within_moves_align_with_bars() {
     let moves = "  beat: {tracks: {a: [{at: 0s, to: 0}, {at: 1 beat, to: 10}]}}
   fall: {tracks: {a: [{at: 0s, to: 10}, {at: 1 beat, to: 0}]}}
   bar: {play: [{move: beat}, {move: fall}, {move: beat}, {move: fall}]}
@@ -173,7 +173,7 @@ fn beats_within_moves_are_laid_where_the_bars_lie() {
 }
 
 #[test]
-fn robots_may_differ_within_what_is_played() {
+fn robots_may_differ_within_played_moves() {
     check_moves(
         &format!(
             "{MOVES}  each: {{play: [{{move: nod}}, {{move: up, parameters: {{to: 10 + 10 * $index}}}}]}}\n"
@@ -186,7 +186,7 @@ fn robots_may_differ_within_what_is_played() {
 }
 
 #[test]
-fn a_move_sees_its_own_parameters_and_variables_and_not_those_of_its_caller() {
+fn move_sees_variables_of_its_file_but_not_parameters_of_its_caller() {
     let text = "scenario: s
 variables: {pace: 1s}
 moves:
@@ -206,7 +206,7 @@ cues: [{at: 0s, robots: left, move: outer}]\n";
 }
 
 #[test]
-fn a_value_is_found_in_the_move_that_has_it_with_the_moves_that_led_there() {
+fn invalid_value_is_reported_in_its_move_with_chain_of_callers() {
     let text = "scenario: s
 moves:
   low: {tracks: {a: [{at: 0s, to: 0}]}}
@@ -220,7 +220,7 @@ cues: [{at: 0s, robots: left, move: outer}]\n";
 }
 
 #[test]
-fn two_movements_of_a_device_at_a_time_are_found() {
+fn overlapping_movements_of_device_in_move_are_reported() {
     let text = format!(
         "scenario: s\nmoves:\n{MOVES}  both:\n    play:\n      - {{move: up}}\n      - {{move: down, at: 500ms}}\n\
          cues: [{{at: 0s, robots: left, move: both}}]\n"
@@ -231,7 +231,7 @@ fn two_movements_of_a_device_at_a_time_are_found() {
 }
 
 #[test]
-fn a_cycle_is_found_once_with_its_whole_chain() {
+fn cycle_is_reported_once_with_its_whole_chain() {
     let text = "scenario: s
 moves:
   one: {play: [{move: two}]}
@@ -246,7 +246,7 @@ cues: [{at: 0s, robots: left, move: one}]\n";
 }
 
 #[test]
-fn moves_that_double_again_and_again_are_bounded() {
+fn repeatedly_doubling_moves_are_bounded() {
     for depth in [20, 40] {
         let mut text =
             "scenario: s\nmoves:\n  m0: {tracks: {a: [{at: 0s, to: 0}, {at: 1ms, to: 0}]}}\n".to_owned();
@@ -271,7 +271,7 @@ const SEQUENCE: &str = "sequences:
 ";
 
 #[test]
-fn a_sequence_is_its_cues_under_other_names() {
+fn sequence_equals_its_cues_under_other_names() {
     let text = format!(
         "scenario: s\ntempo: 110\nmoves:\n{MOVES}{SEQUENCE}cues:
   - {{cue: first, sequence: greet, robots: [left, right], at: bar 2, parameters: {{who: third}}}}
@@ -313,7 +313,7 @@ fn a_sequence_is_its_cues_under_other_names() {
 }
 
 #[test]
-fn sequences_play_sequences() {
+fn sequences_can_play_sequences() {
     let text = format!(
         "scenario: s\nmoves:\n{MOVES}{SEQUENCE}  twice:
     cues:
@@ -338,7 +338,7 @@ cues: [{{cue: all, sequence: twice, robots: right, at: 2s}}, {{after: all.two.bo
 }
 
 #[test]
-fn what_is_wrong_in_a_sequence_or_where_it_is_used_is_found_there() {
+fn sequence_faults_are_reported_at_definition_or_use() {
     let text = format!(
         "scenario: s\nmoves:\n{MOVES}sequences:
   greet:
@@ -375,7 +375,7 @@ cues:
 }
 
 #[test]
-fn sequences_that_play_themselves_or_double_are_bounded() {
+fn recursive_and_doubling_sequences_are_bounded() {
     let text = "scenario: s
 sequences: {a: {cues: [{cue: x, sequence: b}]}, b: {cues: [{cue: y, sequence: a}]}}
 cues: [{cue: all, sequence: a}]\n";
@@ -394,7 +394,7 @@ cues: [{cue: all, sequence: a}]\n";
 }
 
 #[test]
-fn positions_in_the_music_have_no_place_in_a_sequence() {
+fn musical_positions_are_refused_in_sequences() {
     let text =
         "scenario: s\ntempo: 120\nsequences: {a: {cues: [{cue: x, at: bar 2}]}}\ncues: [{sequence: a}]\n";
     let message = "the position `bar 2` is not supported in a sequence (in the sequence `a`, used in line 4)";
@@ -402,7 +402,7 @@ fn positions_in_the_music_have_no_place_in_a_sequence() {
 }
 
 #[test]
-fn times_that_contradict_each_other_within_a_sequence_are_fixed_in_its_own_words() {
+fn time_conflict_in_sequence_gets_fix_in_its_own_terms() {
     let text = format!(
         "scenario: s\nmoves:\n{MOVES}sequences:
   greet:
@@ -432,7 +432,7 @@ sequences:
 ";
 
 #[test]
-fn a_file_is_included_twice_with_other_parameters() {
+fn file_can_be_included_twice_with_different_parameters() {
     let text = "scenario: s
 variables: {width: 20}
 include:
@@ -455,7 +455,7 @@ cues:
 }
 
 #[test]
-fn parameters_of_an_include_are_checked_where_it_is_included() {
+fn include_parameters_are_checked_where_file_is_included() {
     let text = "scenario: s
 include:
   - {file: arm.yaml, as: l, parameters: {side: 1, reech: 3}}
@@ -484,7 +484,7 @@ cues: [{cue: mark}]\n";
 }
 
 #[test]
-fn a_fault_in_an_included_file_says_for_which_include() {
+fn fault_in_included_file_names_its_include() {
     let text = "scenario: s
 include:
   - {file: arm.yaml, as: l, parameters: {side: 1}}
@@ -503,7 +503,7 @@ cues: [{at: 0s, robots: right, move: r.out and in}]\n";
 }
 
 #[test]
-fn files_that_include_themselves_under_names_are_found() {
+fn files_that_include_themselves_under_names_are_reported() {
     let file = "include: {file: a.yaml, as: again}\n";
     let text = "scenario: s\ninclude: {file: a.yaml, as: one}\ncues: [{cue: mark}]\n";
     let codes: Vec<_> = compiled_with(text, &[("a.yaml", file)]).findings.iter().map(|f| f.code).collect();
@@ -511,7 +511,7 @@ fn files_that_include_themselves_under_names_are_found() {
 }
 
 #[test]
-fn a_sequence_that_nothing_uses_is_read_as_if_it_began_at_0_s() {
+fn unused_sequence_is_read_as_if_it_started_at_zero() {
     let text = "scenario: s
 tempo: [{at: bar 1, bpm: 120}, {at: bar 5, bpm: 60}]
 sequences:
@@ -522,7 +522,7 @@ cues: [{robots: left, tracks: {a: [{at: 0s, to: 0}]}}]
 }
 
 #[test]
-fn cues_of_sequences_that_nothing_uses_are_not_counted_among_those_of_the_scenario() {
+fn cues_of_unused_sequences_do_not_count_towards_scenario_limit() {
     let cue = "{robots: left, tracks: {a: [{at: 0s, to: 0}]}}, ".repeat(100);
     let play = |other: &str, times: u32| format!("{{sequence: {other}}}, ").repeat(times as usize);
     let text = format!(
@@ -536,7 +536,7 @@ fn cues_of_sequences_that_nothing_uses_are_not_counted_among_those_of_the_scenar
 }
 
 #[test]
-fn names_of_copies_are_plain_and_different() {
+fn include_names_are_plain_and_distinct() {
     let found = |include: &str| -> Vec<(Code, usize)> {
         let text = format!(
             "scenario: s\ninclude:\n{include}cues: [{{robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]\n"

@@ -37,7 +37,7 @@ fn codes(findings: &[Finding]) -> Vec<Code> {
 }
 
 #[test]
-fn a_jump_between_acts_is_an_error_if_the_speed_has_a_limit_and_a_warning_otherwise() {
+fn jump_between_acts_is_error_with_speed_limit_and_warning_without() {
     let acts = [("one", "", 0, 80), ("two", "", 10, 0)];
     let limited = jumps(&fleet("linear", true), &acts);
     assert_eq!(codes(&limited), [Code::TooFast]);
@@ -48,14 +48,14 @@ fn a_jump_between_acts_is_an_error_if_the_speed_has_a_limit_and_a_warning_otherw
 }
 
 #[test]
-fn a_device_that_holds_jumps_between_acts_only_if_its_speed_has_a_limit() {
+fn jump_of_hold_device_between_acts_is_error_only_with_speed_limit() {
     let acts = [("one", "", 0, 80), ("two", "", 10, 0)];
     assert_eq!(codes(&jumps(&fleet("hold", true), &acts)), [Code::TooFast]);
     assert_eq!(codes(&jumps(&fleet("hold", false), &acts)), []);
 }
 
 #[test]
-fn a_way_that_leads_back_to_an_act_is_judged_too() {
+fn jump_on_return_to_earlier_act_is_checked() {
     let wait = "wait: {sensor: arm/d, above: 3, timeout: 5s, otherwise: one},";
     let back = jumps(&fleet("linear", true), &[("one", "next: two,", 0, 80), ("two", wait, 80, 40)]);
     assert_eq!(codes(&back), [Code::TooFast], "the wait of `two` leads back to `one`: {back:?}");
@@ -63,7 +63,7 @@ fn a_way_that_leads_back_to_an_act_is_judged_too() {
 }
 
 #[test]
-fn after_a_failure_devices_are_in_their_default_state_if_a_robot_may_have_sent_them_home() {
+fn after_failure_devices_start_at_default_if_policy_may_send_them_home() {
     let home = ["home", "stop, arm: home"].map(|policy| (policy, vec![Code::TooFast]));
     let elsewhere = ["stop", "home, arm: stop"].map(|policy| (policy, vec![]));
     for (policy, expected) in home.into_iter().chain(elsewhere) {
@@ -74,7 +74,7 @@ fn after_a_failure_devices_are_in_their_default_state_if_a_robot_may_have_sent_t
 }
 
 #[test]
-fn an_act_that_does_not_move_a_device_leaves_it_where_it_was() {
+fn act_that_does_not_move_device_keeps_its_position() {
     let text = "scenario: s
 acts:
   - {act: one, cues: [{at: 0s, robots: arm, tracks: {d: [{at: 0s, to: 0}, {at: 10s, to: 80, ease: smooth}]}}]}
@@ -88,14 +88,14 @@ acts:
 }
 
 #[test]
-fn a_way_back_that_surely_jumps_is_an_error_even_if_the_device_may_begin_at_the_same_place() {
+fn certain_jump_back_to_act_is_error_even_if_start_may_match() {
     let wait = "wait: {sensor: arm/d, above: 3, timeout: 5s, otherwise: end}, next: one,";
     let back = jumps(&fleet("linear", true), &[("one", "next: two,", 30, 80), ("two", wait, 80, 0)]);
     assert!(back.iter().any(|finding| finding.severity == Severity::Error), "{back:#?}");
 }
 
 #[test]
-fn a_speed_leaves_a_device_at_no_known_position() {
+fn speed_control_leaves_device_position_unknown() {
     let text = "scenario: s
 stop_condition: {running: 1s}
 acts:

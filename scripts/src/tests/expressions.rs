@@ -58,7 +58,7 @@ fn found(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_robot_has_its_own_numbers() {
+fn expressions_are_evaluated_per_robot() {
     same(
         "
 variables: {r: 40, phase: 360 * $index / $count}
@@ -88,7 +88,7 @@ cues:
 }
 
 #[test]
-fn overrides_have_their_own_numbers_as_well_and_roles_count() {
+fn overrides_are_evaluated_per_robot_including_roles() {
     same(
         "
 roles: {front: [c, a]}
@@ -103,7 +103,7 @@ cues:
 }
 
 #[test]
-fn robots_with_the_same_results_share_a_movement() {
+fn robots_with_equal_results_share_movement() {
     let compiled = of_four(
         "cues: [{robots: all, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20 * ($index % 2), ease: smooth}]}}]\n",
     );
@@ -114,7 +114,7 @@ fn robots_with_the_same_results_share_a_movement() {
 }
 
 #[test]
-fn formulas_with_the_index_are_waves() {
+fn formula_with_index_matches_waves() {
     let wave =
         |phase: u32| format!("{{d: {{wave: {{amplitude: 30, period: 8s, phase: {phase}, for: 8s}}}}}}");
     let by_formula = "cues: [{robots: all, tracks: {d: {formula: \"30 * sin(2 * pi * t / 8s + 2 * pi * $index / $count)\", for: 8s}}}]\n";
@@ -138,7 +138,7 @@ fn formulas_with_the_index_are_waves() {
 }
 
 #[test]
-fn what_is_wrong_with_one_robot_is_told_once_at_its_character() {
+fn expression_fault_of_one_robot_is_reported_once_at_its_column() {
     let text = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 10 / ($index - 2)}]}}]\n";
     assert_eq!(found(text), ["2:51-1 division by zero"]);
     let text = "variables: {h: 2}\ncues: [{robots: all, tracks: {d: [{at: 0s, to: \"2 * $j\"}]}}]\n";
@@ -151,7 +151,7 @@ fn what_is_wrong_with_one_robot_is_told_once_at_its_character() {
 }
 
 #[test]
-fn a_decimal_comma_is_told() {
+fn decimal_comma_gets_hint_to_use_decimal_point() {
     let hint = |value: &str| {
         let text =
             format!("cues: [{{robots: all, tracks: {{d: [{{at: 0s, to: 1}}, {{at: {value}, to: 2}}]}}}}]\n");
@@ -171,7 +171,7 @@ fn a_decimal_comma_is_told() {
 }
 
 #[test]
-fn hours_minutes_and_seconds_are_a_time() {
+fn times_can_be_written_as_hours_minutes_and_seconds() {
     same(
         "cues: [{at: 00:00:01.5, robots: a, tracks: {d: [{at: 00:00:00, to: 1}, {at: 00:01:30, to: 2}]}}]\n",
         "cues: [{at: 1500ms, robots: a, tracks: {d: [{at: 0s, to: 1}, {at: 90s, to: 2}]}}]\n",
@@ -179,7 +179,7 @@ fn hours_minutes_and_seconds_are_a_time() {
 }
 
 #[test]
-fn what_was_written_before_means_the_same() {
+fn earlier_syntax_keeps_its_meaning() {
     same(
         "
 variables: {a-b: 3, my var: 4, t: 1s, index: 5, note: pay $me now, sig: 3/4}
@@ -191,7 +191,7 @@ cues: [{robots: a, tracks: {d: [{at: 0s, to: $a-b}, {at: $t, to: -$a-b}, {at: 2s
 }
 
 #[test]
-fn a_formula_of_very_many_turns_is_fitted_or_has_too_many() {
+fn formula_with_many_turns_is_fitted_or_refused() {
     let text = |hours: u32| {
         format!(
             "cues: [{{robots: a, tracks: {{d: {{tolerance: 20, formula: \"400 * sin(360 * t / 8s)\", for: {hours}h}}}}}}]\n"
@@ -205,7 +205,7 @@ fn a_formula_of_very_many_turns_is_fitted_or_has_too_many() {
 }
 
 #[test]
-fn a_formula_that_is_no_movement_is_told() {
+fn formula_that_is_not_a_movement_is_reported() {
     let message = |formula: &str| {
         let text = format!(
             "cues: [{{at: 0s, robots: bot, tracks: {{pole: {{formula: \"{formula}\", for: 4s}}}}}}]\n"

@@ -79,7 +79,7 @@ fn form(formation: &str, cue: &str) -> String {
 }
 
 #[test]
-fn a_size_that_is_enough_is_enough_and_little_less_is_not() {
+fn suggested_size_is_sufficient_and_slightly_less_is_not() {
     let fleet = fleet(12, false);
     for (formation, least) in [
         ("circle: {radius: 0.4}", "circle: {radius: 0.75}"),
@@ -98,13 +98,13 @@ fn a_size_that_is_enough_is_enough_and_little_less_is_not() {
 }
 
 #[test]
-fn a_larger_formation_that_takes_more_time_says_how_much() {
+fn hint_for_larger_formation_includes_longer_time() {
     let hint = fixed(&fleet(12, false), &form("line: {length: 2}", "form: f, over: 1s"), Code::NoWayPast);
     assert!(hint.starts_with("use `") && hint.contains("` with `over: "), "{hint}");
 }
 
 #[test]
-fn what_leaves_the_limits_is_told_how_large_it_may_be() {
+fn hint_for_exceeded_limits_names_largest_possible_value() {
     let fleet = fleet(12, false);
     for (cue, formation) in [
         ("form: f, over: 300s", "circle: {radius: 70}"),
@@ -119,7 +119,7 @@ fn what_leaves_the_limits_is_told_how_large_it_may_be() {
 }
 
 #[test]
-fn the_time_that_a_way_needs_is_enough() {
+fn suggested_time_for_movement_is_enough() {
     let fleet = fleet(12, false);
     for over in ["10ms", "500ms", "1s"] {
         fixed(&fleet, &form("circle: {radius: 3}", &format!("form: f, over: {over}")), Code::BodyTooFast);
@@ -139,7 +139,7 @@ cues:
 ";
 
 #[test]
-fn a_formation_on_the_way_leads_past() {
+fn hint_proposes_intermediate_formation_to_avoid_collision() {
     let fleet = fleet(2, true);
     let (code, hint) = fault(&fleet, SWAP);
     assert_eq!(code, Code::NoWayPast);
@@ -152,7 +152,7 @@ fn a_formation_on_the_way_leads_past() {
 const CIRCLE: [&str; 3] = ["after: c", "after: a + 500ms", "after: end of b"];
 
 #[test]
-fn each_relation_of_a_circle_can_be_left_out() {
+fn cycle_is_resolved_by_removing_any_of_its_relations() {
     let cue = |(name, when): (&str, &str)| {
         let tracks = "tracks: {x: [{at: 0s, to: 0}, {at: 2s, to: 1}]}";
         format!(
@@ -187,7 +187,7 @@ fn each_relation_of_a_circle_can_be_left_out() {
 }
 
 #[test]
-fn acts_that_go_round_come_to_an_end_where_the_hint_says() {
+fn endless_cycle_of_acts_is_resolved_by_hinted_end() {
     let act = |number: usize, next: usize| {
         format!(
             "  - {{act: a{number}, next: a{next}, cues: [{{robots: d0, tracks: {{x: [{{at: 0s, to: 0}}]}}}}]}}\n"
@@ -211,7 +211,7 @@ fn acts_that_go_round_come_to_an_end_where_the_hint_says() {
 }
 
 #[test]
-fn acts_that_nothing_leads_to_are_found_at_the_first_of_them() {
+fn unreachable_acts_are_reported_at_first_of_them() {
     let act = |name: &str, next: &str| {
         format!(
             "  - {{act: {name}, next: {next}, cues: [{{robots: d0, tracks: {{x: [{{at: 0s, to: 0}}]}}}}]}}\n"
@@ -227,7 +227,7 @@ fn acts_that_nothing_leads_to_are_found_at_the_first_of_them() {
 }
 
 #[test]
-fn a_change_of_a_move_is_told_how_far_it_may_go() {
+fn move_scaled_or_mirrored_beyond_limits_gets_exact_hint() {
     let text = |keys: &str| {
         format!(
             "scenario: s\nmoves: {{m: {{tracks: {{d: [{{at: 0s, to: 10}}, {{at: 1s, to: 40}}]}}}}}}\ncues: [{{robots: arm, move: m, {keys}}}]\n"
@@ -249,7 +249,7 @@ fn a_change_of_a_move_is_told_how_far_it_may_go() {
 }
 
 #[test]
-fn a_parameter_is_found_where_it_is_given() {
+fn invalid_parameter_is_reported_where_it_is_given() {
     let text = |to: &str| {
         format!(
             "scenario: s
@@ -269,7 +269,7 @@ cues:
 }
 
 #[test]
-fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
+fn wave_shifted_or_scaled_as_hinted_is_within_limits() {
     let text = |center: f64| {
         format!(
             "scenario: s\ncues: [{{robots: arm, tracks: {{d: {{tolerance: 3, wave: {{amplitude: 10, period: 4s, center: {center}, for: 4s}}}}}}}}]\n"
@@ -306,7 +306,7 @@ fn coarse(count: usize) -> Fleet {
 }
 
 #[test]
-fn the_time_that_a_turn_needs_is_enough_for_its_steps() {
+fn suggested_time_for_turn_is_enough_for_its_steps() {
     for count in [5, 8, 12] {
         for keys in ["turn: 90", "turn: 360", "grow: 1.2, turn: 180, shift: [0, 0, 1]", "grow: 3"] {
             let text = format!("scenario: s\ncues: [{{robots: all, {keys}, over: 100ms}}]\n");
@@ -316,7 +316,7 @@ fn the_time_that_a_turn_needs_is_enough_for_its_steps() {
 }
 
 #[test]
-fn places_of_the_size_that_is_named_leave_room_for_steps() {
+fn places_of_suggested_size_leave_room_for_steps() {
     for count in [7, 12] {
         for formation in [
             "circle: {radius: 0.35}",
@@ -330,7 +330,7 @@ fn places_of_the_size_that_is_named_leave_room_for_steps() {
 }
 
 #[test]
-fn a_parameter_within_an_expression_is_not_told_the_value_of_the_whole() {
+fn hint_for_parameter_in_expression_refers_to_result() {
     let text = "scenario: s
 moves: {m: {parameters: {to: 0}, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 2 * $to}]}}}
 cues:
@@ -342,7 +342,7 @@ cues:
 }
 
 #[test]
-fn a_size_is_to_blame_for_a_way_that_is_too_long_if_it_leads_out_of_the_limits() {
+fn size_is_blamed_for_too_long_path_that_leaves_limits() {
     let fleet = fleet(6, false);
     let text = form("circle: {radius: 300}", "form: f, over: 1s");
     let hint = fixed(&fleet, &text, Code::OutOfRange);
@@ -350,7 +350,7 @@ fn a_size_is_to_blame_for_a_way_that_is_too_long_if_it_leads_out_of_the_limits()
 }
 
 #[test]
-fn one_formation_that_is_too_large_is_one_finding() {
+fn formation_of_wrong_size_is_one_finding() {
     let text = "scenario: s
 formations: {f: {circle: {radius: 300}, at: [1.5, 1, 4]}}
 cues:
@@ -366,7 +366,7 @@ cues:
 }
 
 #[test]
-fn places_that_are_as_far_apart_as_required_are_far_enough() {
+fn places_at_required_distance_are_far_enough() {
     let robots: Vec<_> = (0..12).map(|index| drone_on([0.01; 2], index, [index as f64, 0.0, 0.0])).collect();
     let between = robots[0].body.as_ref().map_or(0.0, |body| 2.0 * body.shape.outer_radius());
     let all = robots.iter().map(|robot| robot.id.clone()).collect();

@@ -147,7 +147,7 @@ cues:
 ";
 
 #[test]
-fn the_time_that_a_way_needs_is_enough_for_it() {
+fn suggested_time_for_formation_is_enough() {
     // Over 0.7 m, the least time is 15/8 of the distance at 5 m/s, or 10/sqrt(3) of the distance at 10 m/s2, which is longer.
     let text = |over: &str| {
         format!(
@@ -173,7 +173,7 @@ fn lost(text: &str) -> Vec<String> {
 const UP: &str = "{cue: up, at: 0s, robots: all, shift: [0, 0, 1], over: 9s}";
 
 #[test]
-fn an_act_that_is_reached_after_a_failure_too_does_not_know_where_robots_are() {
+fn positions_are_unknown_in_act_also_reached_after_failure() {
     let acts = |policy: &str| {
         format!(
             "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], {policy}}}\n  - {{act: two, cues: [{UP}]}}\n"
@@ -185,7 +185,7 @@ fn an_act_that_is_reached_after_a_failure_too_does_not_know_where_robots_are() {
 }
 
 #[test]
-fn an_act_to_which_a_later_one_leads_back_does_not_know_where_robots_are() {
+fn positions_are_unknown_in_act_revisited_from_later_act() {
     let acts = |next: &str| {
         format!(
             "scenario: s\nacts:\n  - {{act: one, wait: operator, cues: [{UP}]}}\n  - {{act: two, wait: {{time: '19:30:00', timeout: 30s, otherwise: end}}, cues: [{UP}], next: {next}}}\n"
@@ -196,7 +196,7 @@ fn an_act_to_which_a_later_one_leads_back_does_not_know_where_robots_are() {
 }
 
 #[test]
-fn an_act_that_only_a_failure_leads_to_begins_where_that_sends_the_robots() {
+fn act_reached_only_by_failure_starts_where_failure_policy_leaves_robots() {
     let text = |policy: &str| {
         format!(
             "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], next: end, on_failure: {{default: {policy}, then: landing}}}}\n  - {{act: landing, cues: [{{cue: down, at: 0s, robots: all, form: home, over: 9s}}]}}\n"
@@ -207,7 +207,7 @@ fn an_act_that_only_a_failure_leads_to_begins_where_that_sends_the_robots() {
 }
 
 #[test]
-fn what_changes_a_movement_has_no_place_next_to_a_group() {
+fn movement_modifiers_are_refused_with_group_movements() {
     for key in ["repeat: 2", "mirror: true", "scale: 2", "reverse: true", "overrides: {d1: {mirror: true}}"] {
         let found = compiled(
             3,
@@ -219,7 +219,7 @@ fn what_changes_a_movement_has_no_place_next_to_a_group() {
 }
 
 #[test]
-fn robots_that_wait_end_with_the_cue_to_the_nanosecond() {
+fn waiting_robots_end_exactly_with_their_cue() {
     for (tempo, beats) in [(130, 8), (130, 11), (151, 9), (163, 8)] {
         let text = format!(
             "scenario: s
@@ -236,7 +236,7 @@ cues:
 }
 
 #[test]
-fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
+fn eight_drones_take_off_circle_form_v_and_land() {
     assert!(SHOW.lines().count() < 50);
     let act = sound(8, SHOW);
     let (steps, stated) = (steps(&act, 8), act.in_space.closest.as_ref().unwrap().distance);
@@ -272,7 +272,7 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
 }
 
 #[test]
-fn a_hundred_drones_move_from_a_circle_to_a_text_to_a_grid_and_keep_apart() {
+fn hundred_drones_change_formations_and_keep_their_distance() {
     let text = "scenario: hundred
 formations:
   ring: {circle: {spacing: 0.6}, at: [0, 0, 12], rotate: [90, 0, 0]}
@@ -290,7 +290,7 @@ cues:
 }
 
 #[test]
-fn bodies_whose_places_are_close_are_set_more_finely() {
+fn bodies_with_close_places_are_positioned_more_finely() {
     // Two bodies must be 0.4 m apart, from middle to middle, and the steps of each may be off by up to 35 mm.
     for spacing in ["0.402", "0.41", "0.43"] {
         let text = format!(
@@ -310,7 +310,7 @@ cues:
 }
 
 #[test]
-fn bodies_that_begin_too_close_are_not_blamed_on_the_grid() {
+fn bodies_starting_too_close_are_not_blamed_on_grid() {
     let mut fleet = fleet(3);
     fleet.robots[1] = drone(1, [0.3, 0.0, 0.0]);
     let text = "scenario: s\nformations: {f: {line: {spacing: 1}, at: [5, 5, 3]}}\ncues: [{cue: c, at: 0s, robots: all, form: f, over: 9s}]\n";
@@ -321,7 +321,7 @@ fn bodies_that_begin_too_close_are_not_blamed_on_the_grid() {
 }
 
 #[test]
-fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
+fn places_too_close_for_some_bodies_are_reported() {
     let mut fleet = fleet(3);
     fleet.robots[2].body.as_mut().unwrap().shape = Shape::Ball { radius: 0.5 };
     let cue = |cue: &str| {
@@ -339,7 +339,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
 }
 
 #[test]
-fn a_group_begins_where_movements_before_it_end_also_in_the_next_act() {
+fn group_starts_where_previous_movements_end_even_in_next_act() {
     let text = "scenario: acts
 acts:
   - act: one
@@ -375,7 +375,7 @@ fn found(count: usize, cue: &str) -> (Vec<Code>, String) {
 }
 
 #[test]
-fn more_or_fewer_robots_than_places_are_a_choice() {
+fn mismatch_of_robots_and_places_requires_explicit_choice() {
     assert_eq!(found(4, "form: three, over: 5s").0, [Code::PlacesCount]);
     assert_eq!(found(2, "form: three, over: 5s").0, [Code::PlacesCount]);
     for (count, choice) in [(4, "spare: stay"), (4, "spare: home"), (2, "thin: evenly"), (2, "thin: nearest")]
@@ -388,7 +388,7 @@ fn more_or_fewer_robots_than_places_are_a_choice() {
 }
 
 #[test]
-fn what_a_group_cannot_do_is_found() {
+fn impossible_group_movements_are_reported() {
     let (codes, text) = found(3, "form: three, over: 100ms");
     assert_eq!(codes, [Code::BodyTooFast]);
     assert!(text.contains("`over: "), "{text}");
@@ -419,7 +419,7 @@ fn what_a_group_cannot_do_is_found() {
 }
 
 #[test]
-fn a_group_that_leaves_the_limits_of_its_devices_is_told_so_once_for_each_and_soon() {
+fn group_leaving_device_limits_is_reported_once_per_device() {
     let findings =
         compiled(12, "scenario: s\ncues: [{at: 0s, robots: all, turn: 720, grow: 40, over: 500s}]\n")
             .findings;
@@ -433,7 +433,7 @@ fn a_group_that_leaves_the_limits_of_its_devices_is_told_so_once_for_each_and_so
 }
 
 #[test]
-fn ways_are_judged_to_where_devices_can_be_set() {
+fn distances_are_computed_from_settable_positions() {
     let mut fleet = fleet(2);
     for robot in &mut fleet.robots {
         let block = robot.init.as_mut().unwrap();
@@ -454,7 +454,7 @@ fn ways_are_judged_to_where_devices_can_be_set() {
 }
 
 #[test]
-fn a_group_that_turns_or_grows_about_itself_is_told_that_nothing_moves() {
+fn single_robot_turned_or_grown_about_itself_is_reported_as_unmoved() {
     for cue in ["turn: 90, over: 5s", "grow: 2, over: 5s", "turn: {by: 90, about: [0, 0]}, over: 5s"] {
         let (codes, text) = found(1, cue);
         assert_eq!(codes, [Code::NotInGroup], "{cue}");
@@ -466,7 +466,7 @@ fn a_group_that_turns_or_grows_about_itself_is_told_that_nothing_moves() {
 }
 
 #[test]
-fn large_numbers_are_told_in_few_digits() {
+fn large_numbers_are_reported_with_few_digits() {
     for cue in ["shift: [1e300, 0, 0], over: 5s", "turn: 1e300, over: 5s"] {
         let (_, text) = found(2, cue);
         assert!(text.len() < 200, "{text}");
@@ -487,7 +487,7 @@ fn limited(count: usize) -> Fleet {
 }
 
 #[test]
-fn a_time_is_enough_for_steps_of_axes_at_different_times() {
+fn suggested_time_is_enough_for_axes_stepping_at_different_times() {
     let cue = "turn: -154, grow: 2.9, shift: [1.5, -0.8, -0.3]";
     let over = enough(&fleet(3), "", &format!("{cue}, over: 10ms")).unwrap();
     assert_eq!(enough(&fleet(3), "", &format!("{cue}, over: {over}")), None, "{over}");
@@ -505,7 +505,7 @@ fn enough(fleet: &Fleet, formations: &str, cue: &str) -> Option<String> {
 }
 
 #[test]
-fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
+fn finding_names_places_too_close_for_their_bodies() {
     let (codes, text) = found(2, "form: {to: three, thin: evenly}, over: 5s");
     assert!(codes.is_empty(), "{text}");
     let near = "near: {points: [[0, 0, 1], [0.39, 0, 1], [4, 0, 1]]}";
@@ -529,7 +529,7 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
 }
 
 #[test]
-fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
+fn robot_with_fixed_height_is_named_if_others_change_height() {
     let mut fleet = fleet(3);
     if let Some(body) = &mut fleet.robots[1].body {
         body.coordinates[2] = Coordinate::Fixed(0.0);
@@ -557,7 +557,7 @@ fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
     #[test]
-    fn the_shortest_time_that_is_named_is_enough(
+    fn suggested_shortest_time_is_enough(
         turn in -9_000..9_000i32,
         grow in 5..30i32,
         shift in prop::array::uniform3(-20..20i32),
@@ -578,7 +578,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
     #[test]
-    fn bodies_of_random_groups_are_where_they_should_be_and_as_far_apart_as_stated(
+    fn random_groups_reach_their_places_and_keep_stated_distance(
         points in prop::collection::vec(prop::array::uniform3(1..40i32), 2..8),
         canon in 0..900u32,
         turn in -400..400i32,
@@ -627,7 +627,7 @@ cues:
 }
 
 #[test]
-fn a_late_robot_begins_where_a_group_has_led_it_meanwhile() {
+fn delayed_robot_starts_where_another_group_has_moved_it() {
     // d1 moves to the left and back to the right before its own start in the canon.
     let text = "scenario: s
 cues:
@@ -646,7 +646,7 @@ cues:
 }
 
 #[test]
-fn groups_that_wait_for_each_other_are_found() {
+fn groups_waiting_for_each_other_are_reported() {
     let text = "scenario: s
 cues:
   - {cue: a, robots: [d0, d1], canon: 10s, shift: [0, 0, 2], over: 4s}
@@ -660,7 +660,7 @@ cues:
 }
 
 #[test]
-fn home_leaves_nothing_to_choose() {
+fn form_home_accepts_no_options() {
     for choice in ["spare: home", "spare: stay", "thin: evenly", "least: longest"] {
         let text = format!(
             "scenario: s\ncues:\n  - {{cue: up, robots: all, shift: [0, 0, 1], over: 4s}}\n  - {{after: up, robots: all, form: {{to: home, {choice}}}, over: 4s}}\n"
@@ -672,7 +672,7 @@ fn home_leaves_nothing_to_choose() {
 }
 
 #[test]
-fn of_robots_whose_movement_is_missing_nothing_follows() {
+fn robots_with_invalid_movement_cause_no_further_findings() {
     let codes =
         |text: &str| -> Vec<Code> { compiled(2, text).findings.iter().map(|found| found.code).collect() };
     let next = "  - {cue: next, at: 1s, robots: d1, tracks: {x: [{at: 0s, to: 0.7}, {at: 4s, to: -1}]}}\n";
@@ -689,7 +689,7 @@ fn of_robots_whose_movement_is_missing_nothing_follows() {
 }
 
 #[test]
-fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
+fn formation_places_too_close_for_fleet_are_reported_even_if_unused() {
     // The bodies have a radius of 0.1 m and must keep 0.2 m apart.
     for (gap, expected) in [(0.39, vec![Code::NearPlaces]), (0.4, vec![])] {
         let text = format!(
@@ -701,7 +701,7 @@ fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
 }
 
 #[test]
-fn what_an_act_does_not_move_stays_where_the_acts_before_have_left_it() {
+fn unmoved_devices_stay_where_previous_acts_left_them() {
     let acts = |last: &str| {
         format!(
             "scenario: s
@@ -724,7 +724,7 @@ acts:
 }
 
 #[test]
-fn bodies_stand_in_the_way_where_acts_before_have_left_them() {
+fn bodies_left_by_earlier_acts_are_obstacles() {
     let text = "scenario: s
 acts:
   - {act: a, cues: [{robots: d0, shift: [0, 3, 0], over: 10s}]}
@@ -740,7 +740,7 @@ acts:
 }
 
 #[test]
-fn a_group_begins_after_the_movements_of_its_robots_whether_it_moves_them_or_not() {
+fn group_must_start_after_overlapping_movements_of_its_robots() {
     let found = |second: &str| {
         let text = format!(
             "scenario: s\ncues:
@@ -762,7 +762,7 @@ fn a_group_begins_after_the_movements_of_its_robots_whether_it_moves_them_or_not
 }
 
 #[test]
-fn two_movements_of_one_cue_are_not_told_to_follow_each_other() {
+fn overlap_within_one_cue_gets_hint_to_remove_a_movement() {
     let text = "scenario: s\nformations: {f: {points: [[0, 0, 2]]}}
 cues:\n  - {cue: a, at: 0s, robots: d0, form: f, over: 8s, tracks: {z: [{at: 1s, to: 0}, {at: 5s, to: 3}]}}\n";
     let findings = compiled(1, text).findings;

@@ -40,7 +40,7 @@ fn values(act: &Act) -> Vec<f64> {
 }
 
 #[test]
-fn a_value_is_held_until_the_curve_leaves_its_tolerance() {
+fn value_is_held_until_curve_leaves_its_tolerance() {
     // The value 0 serves up to 1.01, 2 from 0.99 to 3.01, and so on. After 154, only the end remains.
     let fine = act(1.0, &rise("tolerance: 1.01", 155.0));
     let expected: Vec<f64> = (0..78).map(|step| f64::from(2 * step)).chain([155.0]).collect();
@@ -54,7 +54,7 @@ fn a_value_is_held_until_the_curve_leaves_its_tolerance() {
 }
 
 #[test]
-fn the_least_error_of_a_curve_is_that_of_equal_runs() {
+fn least_error_of_curve_is_reached_with_equal_runs() {
     // The first and the last value each hold for half a run; the four values between them each hold for a whole run.
     let act = act(0.001, &rise("max_steps: 6", 5.0));
     let used = used(&act, "neck");
@@ -63,7 +63,7 @@ fn the_least_error_of_a_curve_is_that_of_equal_runs() {
 }
 
 #[test]
-fn the_bound_is_no_more_than_the_steps_that_suffice() {
+fn lower_bound_does_not_exceed_sufficient_steps() {
     for tolerance in 3..40 {
         let tolerance = f64::from(tolerance) / 10.0;
         let act = act(0.001, &rise(&format!("tolerance: {tolerance}"), 20.0));
@@ -75,7 +75,7 @@ fn the_bound_is_no_more_than_the_steps_that_suffice() {
 }
 
 #[test]
-fn a_last_step_that_changes_nothing_is_not_sent_and_the_movement_ends_as_written() {
+fn redundant_last_step_is_not_sent_but_movement_ends_as_written() {
     let compiled = servo(22.5, 6, "[{at: 0s, to: 2.5}, {at: 3s, to: 115, ease: smooth}]");
     let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings));
     let act = &choreography.acts[0];
@@ -86,7 +86,7 @@ fn a_last_step_that_changes_nothing_is_not_sent_and_the_movement_ends_as_written
 }
 
 #[test]
-fn a_written_last_step_that_changes_nothing_is_not_sent_either() {
+fn redundant_written_last_step_is_not_sent() {
     let act = act(1.0, "[{at: 0s, to: 3}, {at: 1s, to: 9}, {at: 2s, to: 9}, {at: 3s, to: 9}]");
     assert_eq!(values(&act), [3.0, 9.0]);
     let used = used(&act, "neck");
@@ -95,7 +95,7 @@ fn a_written_last_step_that_changes_nothing_is_not_sent_either() {
 }
 
 #[test]
-fn steps_and_curves_of_one_movement_share_their_values() {
+fn steps_and_curves_of_one_movement_share_values() {
     // A level, a curve that begins at it, and a level at the end of the curve: 10 serves the first, 30 the last two.
     let keyframes = "[{at: 0s, to: 9}, {at: 1s, to: 11}, {at: 2s, to: 29, ease: linear}, {at: 3s, to: 31}]";
     let act = act(1.0, &format!("{{tolerance: 10, keyframes: {keyframes}}}"));

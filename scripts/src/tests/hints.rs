@@ -190,7 +190,7 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_hint_that_names_an_edit_resolves_its_finding() {
+fn every_hint_with_edit_resolves_its_finding() {
     let (mut made, mut wrong) = (0, Vec::new());
     let mut names: Vec<PathBuf> =
         std::fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -223,7 +223,7 @@ fn every_hint_that_names_an_edit_resolves_its_finding() {
 }
 
 #[test]
-fn following_a_hint_of_a_contradiction_leaves_no_rest_that_rounding_hides() {
+fn applying_conflict_hint_leaves_no_conflict_after_rounding() {
     for bpm in ["97", "110", "131.3"] {
         let music = format!(
             "scenario: s\ntempo: {bpm}\ncues:\n  - {{cue: a, at: bar 120, robots: left, tracks: {{elbow: [{{at: 0s, to: 0}}, {{at: 3 beats, to: 10}}]}}}}\n  - {{cue: b, at: 200s, after: a, robots: right, tracks: {{elbow: [{{at: 0s, to: 0}}, {{at: 1s, to: 10}}]}}}}\n"

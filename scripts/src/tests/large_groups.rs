@@ -30,32 +30,32 @@ fn check(movement: &str) {
 }
 
 #[test]
-fn ten_thousand_drones_move_into_a_formation() {
+fn group_of_ten_thousand_drones_moves_into_formation() {
     check("form: wall");
 }
 
 #[test]
-fn ten_thousand_drones_turn() {
+fn group_of_ten_thousand_drones_turns() {
     check("turn: 1, grow: 0.95");
 }
 
 #[test]
-fn ten_thousand_drones_grow() {
+fn group_of_ten_thousand_drones_grows() {
     check("grow: 0.8");
 }
 
 #[test]
-fn ten_thousand_drones_shift() {
+fn group_of_ten_thousand_drones_shifts() {
     check("shift: [0, 0, 5]");
 }
 
 #[test]
-fn ten_thousand_drones_go_along_a_path() {
+fn group_of_ten_thousand_drones_follows_path() {
     check("along: bend");
 }
 
 #[test]
-fn more_drones_than_a_formation_has_places_are_refused() {
+fn groups_of_more_than_ten_thousand_robots_are_refused() {
     for movement in ["form: wall", "turn: 10", "grow: 0.8", "shift: [0, 0, 5]", "along: bend"] {
         let compiled = compiled(MOST + 1, movement);
         let [only] = compiled.findings.as_slice() else { panic!("{movement}: {:#?}", compiled.findings) };

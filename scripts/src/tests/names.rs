@@ -45,7 +45,7 @@ fn found([robot, fleet, scenario, other]: [&str; 4], file: [&str; 2]) -> Vec<Fin
 }
 
 #[test]
-fn a_name_is_the_same_in_every_encoding() {
+fn composed_and_decomposed_names_are_equal() {
     let forms = [COMPOSED, DECOMPOSED];
     for number in 0..16 {
         let names = [0, 1, 2, 3].map(|bit| forms[number >> bit & 1]);
@@ -55,7 +55,7 @@ fn a_name_is_the_same_in_every_encoding() {
 }
 
 #[test]
-fn robots_that_differ_in_the_encoding_of_their_names_alone_are_one_fault() {
+fn robots_differing_only_in_name_encoding_are_one_fault() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("arm.yaml"), ROBOT).unwrap();
     let robot = "{init: arm.yaml, address: sim}";
@@ -67,7 +67,7 @@ fn robots_that_differ_in_the_encoding_of_their_names_alone_are_one_fault() {
 }
 
 #[test]
-fn a_name_that_is_really_another_is_found_at_its_place() {
+fn unknown_names_in_any_encoding_are_reported_at_their_columns() {
     let text = "scenario: s\ncues:\n  - {robots: arm, tracks: {d: [{at: 0s, to: 0}]}}\n  - {robots: arm, tracks: {K\u{f6}pf: [{at: 0s, to: 0}], Ko\u{308}pfe: [{at: 0s, to: 100}]}}\n";
     let found =
         compile(&Source { name: "s.yaml".into(), text: text.into() }, &super::fleet(), &crate::NoFiles)

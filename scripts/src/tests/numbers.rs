@@ -93,7 +93,7 @@ fn values(act: &Act, device: &str) -> Vec<(i64, f64)> {
 }
 
 #[test]
-fn as_many_bars_as_fit_are_all_played() {
+fn all_bars_that_fit_are_played() {
     let mut wrong = Vec::new();
     for bpm in 60..=200 {
         for repeat in ["{for: 24 bars}", "{for: 96 beats}", "{until: bar 57}"] {
@@ -110,7 +110,7 @@ fn as_many_bars_as_fit_are_all_played() {
 }
 
 #[test]
-fn turns_with_waits_end_where_the_next_beat_begins() {
+fn repeats_with_waits_end_where_next_beat_starts() {
     let mut wrong = Vec::new();
     for bpm in 60..=200 {
         let act = act(&format!(
@@ -133,7 +133,7 @@ proptest! {
 
     /// The check uses exact numbers: times are fractions of nanoseconds, compared by cross-multiplication of integers.
     #[test]
-    fn repeated_music_ends_where_its_bars_end(
+    fn repeated_movement_ends_at_end_of_its_bars(
         (first, first_hundredths) in decimal(4_000..25_000),
         (second, second_hundredths) in decimal(4_000..25_000),
         (beats, beats_again, change, start, turns) in (1i128..9, 1i128..9, 2i128..12, 0i128..6, 1i128..40),
@@ -172,7 +172,7 @@ proptest! {
 }
 
 #[test]
-fn cues_that_follow_each_other_in_beats_are_never_later_than_the_bar() {
+fn cues_chained_in_beats_never_overrun_their_bar() {
     for bpm in (40..240).step_by(7) {
         let chain: String =
             (1..24).map(|i| format!("  - {{cue: c{i}, after: c{}, duration: 1 beat}}\n", i - 1)).collect();
@@ -196,7 +196,7 @@ fn polynomial(gap: f64, curve: f64) -> String {
 
 /// The limits are off the grid, either those of the device or only those of its scripts.
 #[test]
-fn a_movement_between_the_last_value_of_the_grid_and_the_limit_is_set_to_that_value() {
+fn value_between_last_grid_value_and_limit_is_set_to_grid_value() {
     for (position, script) in [(9.99, 9.99), (10.0, 9.99)] {
         let block = DEVICES
             .replace(
@@ -235,7 +235,7 @@ fn a_movement_between_the_last_value_of_the_grid_and_the_limit_is_set_to_that_va
 }
 
 #[test]
-fn gaps_below_the_tolerance_are_closed() {
+fn gaps_below_tolerance_are_closed() {
     for (gap, curve) in [(0.0, 0.0), (1e-6, 0.0), (8e-5, 0.0), (-3e-5, 0.0), (1e-6, 0.3), (8e-5, 0.3)] {
         let act = track(&polynomial(gap, curve));
         let (closed, with) = (track(&polynomial(0.0, curve)), used(&act, "pole"));
@@ -252,7 +252,7 @@ fn gaps_below_the_tolerance_are_closed() {
 }
 
 #[test]
-fn a_repeated_movement_that_closes_but_for_rounding_has_one_step_at_each_seam() {
+fn repeated_movement_closing_within_rounding_has_one_step_per_seam() {
     let act = act(
         "cues: [{at: 0s, robots: bot, repeat: 3, tracks: {pole: {tolerance: 0.5, wave: {amplitude: 20, period: 2s, for: 2s}}}}]\n",
     );
@@ -261,7 +261,7 @@ fn a_repeated_movement_that_closes_but_for_rounding_has_one_step_at_each_seam() 
 }
 
 #[test]
-fn a_cue_that_can_start_later_is_not_on_the_critical_path() {
+fn cue_with_slack_is_not_on_critical_path() {
     let act = act("tempo: 40
 cues:
   - {cue: free, robots: bot, duration: 700ms..2700ms, tracks: {pole: [{at: 0ms, to: 0}, {at: 1ms, to: 0}]}}
@@ -275,7 +275,7 @@ cues:
 }
 
 #[test]
-fn a_device_that_holds_takes_the_fewest_steps_within_a_tolerance() {
+fn hold_device_uses_fewest_steps_within_tolerance() {
     let keyframes =
         "[{at: 0s, to: 10}, {at: 1s, to: 10}, {at: 2s, to: 80}, {at: 3s, to: 82}, {at: 4s, to: 10}]";
     let with = |wish: &str| track(&format!("lamp: {{{wish}keyframes: {keyframes}}}"));
@@ -290,7 +290,7 @@ fn a_device_that_holds_takes_the_fewest_steps_within_a_tolerance() {
 }
 
 #[test]
-fn several_values_take_the_fewest_steps_within_a_tolerance() {
+fn multi_value_track_uses_fewest_steps_within_tolerance() {
     let keyframes = "[{at: 0s, to: [1, 2, 3]}, {at: 1s, to: [1, 2, 3]}, {at: 2s, to: [9, 2, 3]}, {at: 3s, to: [9, 4, 3]}, {at: 4s, to: [0, 0, 0]}]";
     let with = |wish: &str| track(&format!("rgb: {{{wish}keyframes: {keyframes}}}"));
     assert_eq!(steps(&with(""), "rgb").len(), 5);
@@ -316,7 +316,7 @@ fn sampled_from(table: &'static str, device: &str, keys: &str) -> Act {
 }
 
 #[test]
-fn samples_of_a_device_that_holds_are_steps_unless_they_are_said_to_be_linear() {
+fn samples_of_hold_device_are_steps_unless_linear_is_requested() {
     let steps = [(0, 0.0), (2_000, 255.0), (5_000, 0.0)];
     let act = sampled("lamp", "");
     assert_eq!(values(&act, "lamp"), steps);
@@ -327,7 +327,7 @@ fn samples_of_a_device_that_holds_are_steps_unless_they_are_said_to_be_linear() 
 }
 
 #[test]
-fn samples_are_read_as_spreadsheets_save_them() {
+fn samples_are_read_in_formats_saved_by_spreadsheets() {
     let expected = values(&sampled("lamp", ""), "lamp");
     let semicolons = SWITCHED.replace(',', ";").replace("2;255", "2,0;255,0");
     for table in [semicolons.clone(), format!("sep=;\n{semicolons}"), SWITCHED.replace(',', "\t")] {
@@ -337,7 +337,7 @@ fn samples_are_read_as_spreadsheets_save_them() {
 }
 
 #[test]
-fn the_worst_error_is_the_distance_from_what_was_written() {
+fn worst_error_is_distance_from_written_values() {
     let keyframes = "[{at: 0s, to: 1.0005}, {at: 1s, to: 2}, {at: 2s, to: 3.0005}]";
     let with = |wish: &str| {
         act(&format!(
@@ -367,7 +367,7 @@ fn the_worst_error_is_the_distance_from_what_was_written() {
 }
 
 #[test]
-fn every_jump_of_a_track_is_told_and_is_an_error_where_there_is_a_limit_of_speed() {
+fn every_track_jump_is_reported_and_is_error_with_speed_limit() {
     let jumps = |device: &str| {
         let pieces =
             "[{for: 1s, coefficients: [0]}, {for: 1s, coefficients: [5]}, {for: 1s, coefficients: [9]}]";
@@ -390,7 +390,7 @@ fn every_jump_of_a_track_is_told_and_is_an_error_where_there_is_a_limit_of_speed
 }
 
 #[test]
-fn values_that_only_rounding_moves_off_the_grid_or_beyond_a_limit_are_set_without_a_finding() {
+fn values_invalid_only_by_rounding_are_corrected_without_finding() {
     let written = |dust: f64| {
         let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k * k % 7) + dust);
         let keyframes: Vec<_> = (0..100).map(keyframe).collect();
@@ -404,7 +404,7 @@ fn values_that_only_rounding_moves_off_the_grid_or_beyond_a_limit_are_set_withou
 }
 
 #[test]
-fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
+fn snapped_values_of_track_are_one_warning() {
     let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.51);
     let keyframes: Vec<_> = (0..20).map(keyframe).collect();
     let track = format!(
@@ -419,7 +419,7 @@ fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
 }
 
 #[test]
-fn the_values_of_a_track_that_are_off_the_grid_are_one_error() {
+fn off_grid_values_of_track_are_one_error() {
     let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.51);
     let keyframes: Vec<_> = (0..4).map(keyframe).collect();
     let track = format!("cues: [{{at: 0s, robots: bot, tracks: {{valve: [{}]}}}}]\n", keyframes.join(", "));

@@ -33,7 +33,7 @@ cues: [{{cue: c, sequence: show, parameters: {{{given}}}}}]
 }
 
 #[test]
-fn what_uses_a_parameter_without_a_value_is_not_told() {
+fn uses_of_parameter_without_value_are_not_reported() {
     check(&played("who: left"), &[]);
     check(&played("pause: 2s"), &["11:27 the sequence `show` needs a value for `who`"]);
     check(
@@ -49,7 +49,7 @@ fn what_uses_a_parameter_without_a_value_is_not_told() {
 }
 
 #[test]
-fn a_parameter_that_is_misspelt_is_not_missing_as_well() {
+fn misspelt_parameter_is_not_also_reported_missing() {
     check(&played("woh: left"), &["11:46 the sequence `show` has no parameter `woh`"]);
     let text = "scenario: s
 moves: {m: {parameters: {reach: ~}, tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $reach}]}}}
@@ -63,12 +63,12 @@ cues: [{robots: left, move: m, parameters: {raech: 3}}]
 }
 
 #[test]
-fn a_robot_that_is_given_to_a_sequence_is_looked_for_where_it_is_given() {
+fn robot_passed_to_sequence_is_checked_where_it_is_passed() {
     check(&played("who: lift"), &["11:51 no robot or group `lift` in the fleet"]);
 }
 
 #[test]
-fn what_uses_a_faulty_variable_is_not_told() {
+fn uses_of_faulty_variable_are_not_reported() {
     let text = "scenario: s
 variables: {far: $sid * 2, twice: 2 * $far, sid3: 4}
 cues: [{robots: left, tracks: {a: [{at: 0s, to: $far}, {at: 1s, to: -$far}, {at: $far, to: 3 + $twice}]}}]
@@ -83,7 +83,7 @@ moves: {m: {tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $far}]}}}
 }
 
 #[test]
-fn a_circle_of_uses_is_told_once_and_two_circles_twice() {
+fn each_cycle_of_uses_is_reported_once() {
     let text = "scenario: s
 moves:
   a: {play: [{move: b}, {move: a}]}
@@ -99,7 +99,7 @@ cues: [{robots: left, move: c}]
 }
 
 #[test]
-fn a_name_of_several_cues_is_told_once_with_the_cues() {
+fn duplicate_cue_name_is_reported_once_with_its_cues() {
     let track = "tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: 0}]}";
     let text = format!(
         "scenario: s
@@ -129,7 +129,7 @@ acts:
 }
 
 #[test]
-fn a_role_is_checked_once_whether_or_not_a_cue_uses_it() {
+fn role_is_checked_once_whether_used_or_not() {
     let track = "tracks: {a: [{at: 0s, to: 0}]}";
     let text = format!(
         "scenario: s
@@ -151,7 +151,7 @@ cues:
 }
 
 #[test]
-fn a_beat_that_its_bar_does_not_have_is_reported_with_the_one_that_was_meant() {
+fn beat_beyond_its_bar_is_reported_with_intended_position() {
     let scenario = |at: &str| {
         format!(
             "scenario: s
@@ -175,7 +175,7 @@ cues: [{{at: {at}, robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]
 }
 
 #[test]
-fn a_key_that_is_misspelt_is_read_as_what_was_meant() {
+fn misspelt_key_is_read_as_intended_key() {
     // Neither the parameter nor its value is reported as unknown.
     let text = "scenario: s
 moves: {m: {parameter: {reach: 3}, tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $reach}]}}}
@@ -199,7 +199,7 @@ cues: [{robots: left, moves: m}]
 }
 
 #[test]
-fn braces_of_a_template_are_one_finding_wherever_they_stand() {
+fn template_braces_are_one_finding_in_any_position() {
     for (value, meant) in
         [("{{ x }}", "$x"), ("\"{{ x }}\"", "$x"), ("{{ $x }}", "$x"), ("{{ x + 1 }}", "$x + 1")]
     {
@@ -234,7 +234,7 @@ fn braces_of_a_template_are_one_finding_wherever_they_stand() {
 }
 
 #[test]
-fn a_value_of_a_variable_is_shown_where_the_variable_is_defined() {
+fn finding_on_variable_value_points_to_variable_definition() {
     let definition = |text: &str, files: &[(&'static str, &str)]| {
         let findings = compiled_with(text, files).findings;
         let [found] = findings.as_slice() else { panic!("{findings:#?}") };
@@ -256,7 +256,7 @@ cues: [{robots: left, move: m}, {robots: right, tracks: {a: [{at: 0s, to: $far}]
 }
 
 #[test]
-fn the_ends_of_a_spread_are_of_one_kind_and_of_that_of_the_parameter() {
+fn spread_ends_must_match_each_other_and_parameter_type() {
     let text = |to: &str| {
         format!(
             "scenario: s
@@ -285,7 +285,7 @@ cues: [{{robots: [left, right], move: m, parameters: {{to: {to}}}}}]
 }
 
 #[test]
-fn what_is_wrong_in_a_text_of_several_lines_or_with_escapes_is_found_at_its_character() {
+fn fault_in_multiline_or_escaped_text_is_reported_at_its_column() {
     let at = |value: &str| {
         let text = format!(
             "scenario: s\nvariables: {{v: 2}}\ncues:\n  - robots: left\n    tracks:\n      a:\n        - {{at: 0s, to: 0}}\n        - at: 1s\n          to: {value}\n"
@@ -306,7 +306,7 @@ fn what_is_wrong_in_a_text_of_several_lines_or_with_escapes_is_found_at_its_char
 }
 
 #[test]
-fn numbers_in_expressions_are_those_of_yaml() {
+fn numbers_in_expressions_follow_yaml_syntax() {
     let text = |value: &str| {
         format!(
             "scenario: s\nvariables: {{v: 2}}\ncues: [{{robots: left, tracks: {{a: [{{at: 0s, to: 0}}, {{at: 1s, to: {value}}}]}}}}]\n"
@@ -329,7 +329,7 @@ fn numbers_in_expressions_are_those_of_yaml() {
 }
 
 #[test]
-fn a_time_that_is_nearly_right_is_told_how_it_is_written() {
+fn nearly_correct_time_gets_hint_with_correct_form() {
     let hint = |time: &str| {
         let text = format!(
             "scenario: s\ntempo: 120\ncues: [{{robots: left, tracks: {{a: [{{at: 0s, to: 0}}, {{at: {time}, to: 1}}]}}}}]\n"

@@ -33,7 +33,7 @@ fn row(cue: &PlannedCue) -> String {
 }
 
 #[test]
-fn the_documented_table_is_the_plan_of_the_documented_scenario() {
+fn documented_table_matches_plan_of_documented_scenario() {
     let section = section();
     let documented: Vec<&str> = section.lines().filter(|line| line.starts_with("| `")).collect();
     let rows: Vec<String> = planned(&section).iter().map(row).collect();
@@ -41,7 +41,7 @@ fn the_documented_table_is_the_plan_of_the_documented_scenario() {
 }
 
 #[test]
-fn the_note_of_a_cue_is_in_its_plan() {
+fn cue_note_is_included_in_plan() {
     let text = "scenario: s\ncues:\n  - {cue: lift, note: The light goes out., robots: arm, \
         tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 45}]}}\n  - {cue: mark}\n";
     let fleet = crate::Fleet { robots: vec![crate::tests::robot()], ..crate::Fleet::default() };

@@ -132,7 +132,7 @@ fn found(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_canon_goes_by_index_in_four_directions() {
+fn canon_by_index_supports_four_directions() {
     delayed("four", "{step: 100ms}", &[("b", "100ms"), ("c", "200ms"), ("e", "300ms")]);
     delayed("four", "{step: 100ms, direction: backward}", &[("a", "300ms"), ("b", "200ms"), ("c", "100ms")]);
     delayed("four", "{step: 100ms, direction: outward}", &[("a", "100ms"), ("e", "100ms")]);
@@ -146,7 +146,7 @@ fn a_canon_goes_by_index_in_four_directions() {
 }
 
 #[test]
-fn a_wave_runs_over_the_places_of_the_robots() {
+fn wave_runs_across_robot_positions() {
     // x of the robots: a 0, b 1, c 4, e 0.3, f 2.
     delayed("five", "{speed: 2, by: x}", &[("b", "500ms"), ("c", "2s"), ("e", "150ms"), ("f", "1s")]);
     delayed("five", "{step: 1s, by: x}", &[("b", "2s"), ("c", "4s"), ("e", "1s"), ("f", "3s")]);
@@ -171,7 +171,7 @@ fn a_wave_runs_over_the_places_of_the_robots() {
 }
 
 #[test]
-fn a_canon_at_random_is_the_same_for_ever() {
+fn random_canon_is_reproducible() {
     // The numbers come from SplitMix64, applied twice for each, and were calculated independently in another language.
     delayed("four", "{step: 1s, by: random, seed: 7}", &[("a", "1s"), ("c", "2s"), ("e", "3s")]);
     delayed(
@@ -189,7 +189,7 @@ fn a_canon_at_random_is_the_same_for_ever() {
 }
 
 #[test]
-fn every_gap_of_a_canon_may_be_its_own() {
+fn canon_gaps_may_differ() {
     delayed("four", "100ms * $index", &[("b", "100ms"), ("c", "300ms"), ("e", "600ms")]);
     delayed("four", "3s / $count", &[("b", "750ms"), ("c", "1500ms"), ("e", "2250ms")]);
     delayed(
@@ -201,7 +201,7 @@ fn every_gap_of_a_canon_may_be_its_own() {
 }
 
 #[test]
-fn robots_of_a_cue_begin_at_times_of_their_own() {
+fn robots_of_cue_may_start_at_different_times() {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1 beat, to: 20}, {at: 2s, to: 0}]}";
     same(
         &format!("tempo: 100\ncues: [{{at: 2s + $index * 250ms, robots: four, {tracks}}}]\n"),
@@ -224,7 +224,7 @@ fn robots_of_a_cue_begin_at_times_of_their_own() {
 }
 
 #[test]
-fn a_chase_lets_one_robot_after_the_other_play_again_and_again() {
+fn chase_plays_robots_one_after_another_repeatedly() {
     same(
         "
 tempo: 120
@@ -241,7 +241,7 @@ cues:
 }
 
 #[test]
-fn turns_fit_without_a_wait_behind_the_last() {
+fn repetitions_need_no_wait_after_last_one() {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 500ms, to: 90}, {at: 1s, to: 0}]}";
     let repeated = |repeat: &str| format!("cues: [{{at: 1s, robots: a, repeat: {repeat}, {tracks}}}]\n");
     for (every, times) in [
@@ -258,7 +258,7 @@ fn turns_fit_without_a_wait_behind_the_last() {
 }
 
 #[test]
-fn a_call_is_answered_by_the_same_move_mirrored() {
+fn response_plays_mirrored_move_of_call() {
     same(
         "
 moves: {bow: {tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 30}, {at: 2s, to: 0}]}}}
@@ -275,7 +275,7 @@ cues:
 }
 
 #[test]
-fn a_value_is_spread_from_the_first_robot_to_the_last() {
+fn value_is_spread_from_first_to_last_robot() {
     valued("four", "{from: 0, to: 90, across: group}", &[("b", "30"), ("c", "60"), ("e", "90")]);
     valued(
         "four",
@@ -318,7 +318,7 @@ fn a_value_is_spread_from_the_first_robot_to_the_last() {
 }
 
 #[test]
-fn a_parameter_may_be_a_fraction_of_many_digits() {
+fn parameter_may_be_fraction_with_many_digits() {
     let tracks = |to: &str| {
         format!("tracks: {{d: {{tolerance: 0.1, keyframes: [{{at: 0s, to: 0}}, {{at: 1s, to: {to}}}]}}}}")
     };
@@ -333,7 +333,7 @@ fn a_parameter_may_be_a_fraction_of_many_digits() {
 }
 
 #[test]
-fn a_scale_and_a_number_of_turns_are_spread() {
+fn scale_and_repetitions_can_be_spread() {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
     same(
         &format!(
@@ -344,7 +344,7 @@ fn a_scale_and_a_number_of_turns_are_spread() {
 }
 
 #[test]
-fn parameters_and_times_are_spread_as_well() {
+fn parameters_and_times_can_be_spread() {
     same(
         "
 variables: {most: 90}
@@ -365,7 +365,7 @@ cues:
 }
 
 #[test]
-fn a_leader_is_followed_with_a_delay() {
+fn followers_repeat_leader_with_delay() {
     same(
         "
 roles: {leader: c, followers: [a, b]}
@@ -376,7 +376,7 @@ cues: [{robots: [leader, followers], canon: 250ms, tracks: {d: [{at: 0s, to: 0},
 }
 
 #[test]
-fn robots_are_where_the_last_cue_above_leaves_them() {
+fn robot_positions_follow_from_last_preceding_cue() {
     // x is in centimetres and starts 1 m before the robot's place in the fleet file, so a moves to 3 m, b to 0 m, and c to 1 m.
     let moves = "{cue: m, robots: [a, b, c], tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 400}]}, overrides: {b: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 0}]}}, c: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: -200}]}}}}";
     let nod = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
@@ -395,7 +395,7 @@ fn finds(cue: &str, expected: &[&str]) {
 }
 
 #[test]
-fn what_is_wrong_with_a_canon_is_found_at_its_place() {
+fn canon_faults_are_reported_at_their_position() {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}]}";
     let canon = |canon: &str, expected: &str| finds(&format!("canon: {canon}, {tracks}"), &[expected]);
     canon("{by: x}", "`{` DB0006 found none or several of `step`, `speed` and `over`");
@@ -424,7 +424,7 @@ fn what_is_wrong_with_a_canon_is_found_at_its_place() {
 }
 
 #[test]
-fn what_is_wrong_with_a_spread_is_found_at_its_place() {
+fn spread_faults_are_reported_at_their_position() {
     let to = |to: &str, expected: &str| finds(&format!("tracks: {{d: [{{at: 1s, to: {to}}}]}}"), &[expected]);
     to("{from: 1, to: 2}", "`{` DB0006 a spread has no `across`");
     to("{from: 1, across: group}", "`{` DB0006 a spread has no `to`");
@@ -452,7 +452,7 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
 }
 
 #[test]
-fn a_move_that_no_cue_uses_needs_no_places() {
+fn unused_move_requires_no_robot_positions() {
     let spread = "{from: 1, to: 2, across: group, by: x}";
     let text = format!(
         "moves: {{m: {{tracks: {{d: [{{at: 0s, to: {spread}}}]}}}}}}\ncues: [{{robots: lost, tracks: {{d: [{{at: 0s, to: 0}}]}}}}]\n"
@@ -461,7 +461,7 @@ fn a_move_that_no_cue_uses_needs_no_places() {
 }
 
 #[test]
-fn turns_that_overlap_or_are_given_twice_are_found() {
+fn overlapping_or_ambiguous_repetitions_are_reported() {
     let repeat = |repeat: &str, expected: &str| {
         finds(
             &format!("repeat: {repeat}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 2s, to: 0}}]}}"),
@@ -475,13 +475,13 @@ fn turns_that_overlap_or_are_given_twice_are_found() {
 }
 
 #[test]
-fn large_groups_and_numbers_are_bounded() {
+fn extreme_numbers_in_large_groups_are_refused() {
     let cues = "  - {robots: four, canon: {speed: 0.001, by: [1e300, -1e300, 0]}, tracks: {d: [{at: 0s, to: {from: -1e300, to: 1e300, across: group, by: y}}]}}\n".repeat(200);
     assert!(!found(&format!("cues:\n{cues}")).is_empty());
 }
 
 #[test]
-fn a_formula_has_another_chance_for_each_robot_and_turn() {
+fn random_formula_draws_new_value_per_robot_and_turn() {
     let track = |text: &str| {
         format!("off_grid: snap\ncues: [{{robots: left, tracks: {{d: {{tolerance: 0.01, {text}}}}}}}]\n")
     };

@@ -3,7 +3,7 @@
 use crate::{Fleet, NoFiles, Source, compile};
 
 #[test]
-fn every_finding_is_on_a_line_of_the_file() {
+fn every_finding_is_on_existing_line() {
     for text in [
         "---",
         "---\n",

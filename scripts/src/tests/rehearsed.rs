@@ -51,7 +51,7 @@ fn assert_in_order_of_x(text: &str) {
 }
 
 #[test]
-fn a_canon_by_place_knows_where_a_group_has_gone() {
+fn canon_by_position_uses_positions_after_group_movement() {
     for first in FIRST {
         assert_in_order_of_x(&format!(
             "{WAYS}  - {{cue: first, robots: all, {first}}}\n  - {{after: first + 1s, robots: all, canon: {{speed: 0.5, by: x}}, shift: [0, 0, 1], over: 4s}}\n"
@@ -60,7 +60,7 @@ fn a_canon_by_place_knows_where_a_group_has_gone() {
 }
 
 #[test]
-fn a_canon_by_place_knows_where_several_groups_have_gone_one_after_another() {
+fn canon_by_position_uses_positions_after_several_group_movements() {
     let cues: String = FIRST
         .iter()
         .enumerate()
@@ -75,7 +75,7 @@ fn a_canon_by_place_knows_where_several_groups_have_gone_one_after_another() {
 }
 
 #[test]
-fn values_are_spread_by_where_a_group_has_gone() {
+fn values_are_spread_by_positions_after_group_movement() {
     let text = format!(
         "{WAYS}  - {{cue: first, robots: all, form: ring, over: 8s}}\n  - {{after: first, robots: all, tracks: {{z: [{{at: 4s, to: {{from: 2, to: 3, across: group, by: y}}}}]}}}}\n"
     );
@@ -87,7 +87,7 @@ fn values_are_spread_by_where_a_group_has_gone() {
 }
 
 #[test]
-fn places_are_not_known_after_a_group_that_cannot_move() {
+fn impossible_group_movement_leaves_positions_unknown() {
     let text = format!(
         "{WAYS}  - {{cue: first, robots: all, form: ring, over: 100ms}}\n  - {{after: first + 1s, robots: all, canon: {{speed: 0.5, by: x}}, shift: [0, 0, 1], over: 4s}}\n"
     );
@@ -98,7 +98,7 @@ fn places_are_not_known_after_a_group_that_cannot_move() {
 }
 
 #[test]
-fn tracks_next_to_a_group_say_where_its_robots_are() {
+fn tracks_beside_group_movement_determine_robot_positions() {
     let rise =
         "{z: [{at: 0s, to: {from: 0, to: 4, across: group}}, {at: 8s, to: {from: 4, to: 0, across: group}}]}";
     let text = format!(

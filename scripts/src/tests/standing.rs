@@ -26,14 +26,14 @@ fn too_close(cues: &str, says: &str) {
 }
 
 #[test]
-fn bodies_that_stand_too_near_are_found_in_an_act_in_which_none_moves() {
+fn bodies_too_close_are_reported_even_if_neither_moves() {
     too_close("  - {cue: mark, at: 0s}\n", "`d0` and `d1` come within 0.050 m of each other at 0 ms");
     let far = "  - {at: 0s, robots: d2, tracks: {x: [{at: 0s, to: 9}]}}\n";
     too_close(far, "`d0` and `d1` come within 0.050 m of each other at 0 ms");
 }
 
 #[test]
-fn bodies_that_are_set_too_near_at_once_are_found() {
+fn bodies_set_too_close_in_one_step_are_reported() {
     let set = "  - {at: 0s, robots: d2, tracks: {x: [{at: 0s, to: 0.5}]}}\n";
     let found = compiled(set).findings;
     let near = found.iter().filter(|finding| finding.code == Code::TooClose);
@@ -42,7 +42,7 @@ fn bodies_that_are_set_too_near_at_once_are_found() {
 }
 
 #[test]
-fn the_closest_approach_is_known_where_nothing_moves() {
+fn closest_approach_is_known_without_movement() {
     let choreography = compiled("  - {cue: mark, at: 0s}\n").choreography;
     assert!(choreography.is_none(), "an act with bodies too near is not played");
     let text =

@@ -18,7 +18,7 @@ fn says(text: &str, expected: &[&str]) {
 }
 
 #[test]
-fn two_values_at_one_instant_are_an_overlap() {
+fn different_values_at_same_instant_are_an_overlap() {
     let lamp = |cues: &str| {
         let found = super::numbers::compiled(&format!("cues:\n{cues}")).findings;
         found.iter().map(|finding| (finding.code, finding.line)).collect::<Vec<_>>()
@@ -39,7 +39,7 @@ fn two_values_at_one_instant_are_an_overlap() {
 }
 
 #[test]
-fn only_words_that_are_alike_are_suggested() {
+fn only_similar_words_are_suggested() {
     assert_eq!(did_you_mean("spread", ["read", "at"]), None);
     assert_eq!(did_you_mean("if", ["at", "of", "cue"]), None);
     assert_eq!(did_you_mean("sm", ["ms", "s"]).as_deref(), Some("did you mean `ms`?"));
@@ -56,7 +56,7 @@ fn only_words_that_are_alike_are_suggested() {
 const PARAMETERS: &str = "moves:\n  go:\n    parameters: {to: ~}\n    tracks: {lamp: [{at: 0s, to: $to}]}\n";
 
 #[test]
-fn parameters_may_be_set_by_overrides_alone() {
+fn parameters_may_be_set_only_by_overrides() {
     let cue = "cues: [{robots: bot, move: go, overrides: {bot: {parameters: {to: 5}}}}]\n";
     assert_eq!(codes(&compiled(&format!("{PARAMETERS}{cue}"))), []);
     let without = "cues: [{robots: bot, move: go}]\n";
@@ -64,7 +64,7 @@ fn parameters_may_be_set_by_overrides_alone() {
 }
 
 #[test]
-fn a_time_that_cannot_be_read_makes_nothing_overlap() {
+fn unreadable_time_causes_no_overlap_finding() {
     let track = "robots: bot, tracks: {lamp: [{at: 0s, to: 1}, {at: 2s, to: 2}]}";
     let text = format!("cues:\n  - {{cue: a, {track}}}\n  - {{cue: b, at: 5 parsecs, {track}}}\n");
     assert_eq!(codes(&compiled(&text)), [Code::BadDuration]);
@@ -73,7 +73,7 @@ fn a_time_that_cannot_be_read_makes_nothing_overlap() {
 }
 
 #[test]
-fn what_is_wrong_with_many_robots_for_one_reason_is_one_finding() {
+fn one_fault_of_many_robots_is_one_finding() {
     let robots: Vec<FleetRobot> =
         (0..8).map(|n| FleetRobot { id: format!("r{n}").parse().unwrap(), ..robot() }).collect();
     let fleet = Fleet { robots, ..Fleet::default() };
@@ -112,7 +112,7 @@ fn lags_may_be_negative() {
 }
 
 #[test]
-fn findings_call_the_parts_of_a_movement_by_their_names() {
+fn findings_use_correct_names_for_parts_of_movement() {
     let track = |track: &str| format!("cues: [{{robots: bot, tracks: {{arm: {track}}}}}]\n");
     says(
         &track("{polynomial: [{for: 1s, coefficients: [0]}, {for: 1s, coefficients: [0, 900]}]}"),
@@ -130,7 +130,7 @@ fn findings_call_the_parts_of_a_movement_by_their_names() {
 }
 
 #[test]
-fn a_loop_with_too_many_steps_is_to_be_repeated_less() {
+fn loop_with_too_many_steps_gets_hint_to_reduce_repetitions() {
     let track = |keys: &str| {
         format!(
             "cues: [{{cue: c, robots: bot, {keys} tracks: {{lamp: [{{at: 0s, to: 0}}, {{at: 1ms, to: 1}}, {{at: 2ms, to: 0}}]}}}}]\n"
@@ -140,7 +140,7 @@ fn a_loop_with_too_many_steps_is_to_be_repeated_less() {
 }
 
 #[test]
-fn what_yaml_stumbles_over_is_explained() {
+fn common_yaml_mistakes_are_explained() {
     says("cues:\n\t- {robots: bot}\n", &["spaces", "tab"]);
     says("cues:\n  - at:0s\n    robots: bot\n", &["a space after the colon"]);
     says("cues: [{at:0s, robots: bot}]\n", &["a space after the colon: `at: 0s`"]);
@@ -155,14 +155,14 @@ fn what_yaml_stumbles_over_is_explained() {
 }
 
 #[test]
-fn a_header_behind_a_hash_is_a_header() {
+fn csv_header_after_hash_is_recognised() {
     let csv = "# recorded in May\n# t, v\n0,0\n1,5\n";
     let text = "cues: [{robots: bot, tracks: {lamp: {samples: {file: c.csv, time: t, value: v}}}}]\n";
     assert_eq!(codes(&compiled_with(text, csv)), []);
 }
 
 #[test]
-fn values_that_differ_from_robot_to_robot_are_one_fault_of_all() {
+fn values_differing_per_robot_are_one_finding() {
     let robots: Vec<FleetRobot> =
         (0..12).map(|n| FleetRobot { id: format!("r{n}").parse().unwrap(), ..robot() }).collect();
     let all = robots.iter().map(|robot| robot.id.clone()).collect();

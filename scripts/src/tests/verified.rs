@@ -602,7 +602,7 @@ fn least_error(levels: &[f64], most: usize, values: Values) -> f64 {
 
 proptest! {
     #[test]
-    fn steps_and_numbers_are_what_a_second_reading_finds(
+    fn steps_and_figures_match_independent_implementation(
         (linear, movement) in any::<bool>().prop_flat_map(|linear| (Just(linear), movements(linear))),
         change in changes(),
         tolerance in tolerances(),

@@ -93,7 +93,7 @@ fn check(path: &Path) {
 }
 
 #[test]
-fn real_networks_are_consistent_and_their_tightening_is_explained() {
+fn real_networks_are_consistent_and_too_tight_deadlines_are_explained() {
     for path in json_files(&fixtures().join("stn")) {
         check(&path);
     }
@@ -130,7 +130,7 @@ fn shop(name: &str, deadline: Option<i64>) -> (Network, Vec<Task>, i64) {
 }
 
 #[test]
-fn the_optimum_of_ft06_is_found_and_a_deadline_below_it_is_not_met() {
+fn optimum_of_ft06_is_found_and_earlier_deadline_is_not_met() {
     let found = |deadline| {
         let (network, tasks, _) = shop("ft06", deadline);
         order(&network, &tasks, Effort { moves: 5_000, ..Effort::default() })
@@ -149,7 +149,7 @@ fn the_optimum_of_ft06_is_found_and_a_deadline_below_it_is_not_met() {
 }
 
 #[test]
-fn every_order_keeps_each_machine_to_one_task_at_a_time() {
+fn every_order_gives_each_machine_one_task_at_a_time() {
     for name in ["la01", "ft10"] {
         let (network, tasks, optimum) = shop(name, None);
         let Ordering::Found(found) = order(&network, &tasks, Effort { moves: 500, ..Effort::default() })

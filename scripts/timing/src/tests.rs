@@ -129,7 +129,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
     #[test]
-    fn a_schedule_is_the_earliest_and_a_conflict_the_smallest(small in small()) {
+    fn schedule_is_earliest_and_conflict_is_smallest(small in small()) {
         let (network, ids) = small.network();
         match (small.ways(), network.solve()) {
             (Some(ways), Ok(schedule)) => {
@@ -142,7 +142,7 @@ proptest! {
     }
 
     #[test]
-    fn the_critical_events_lie_on_the_longest_ways_to_the_end(small in small()) {
+    fn critical_events_lie_on_longest_paths_to_end(small in small()) {
         let (network, _) = small.network();
         let Ok(schedule) = network.solve() else { return Ok(()) };
         let mut forth = small.clone();
@@ -176,7 +176,7 @@ proptest! {
     }
 
     #[test]
-    fn a_change_gives_what_solving_again_gives(
+    fn incremental_change_matches_solving_again(
         small in small(),
         changes in prop::collection::vec((0usize..9, prop::option::of(-6i64..12), prop::option::of(-6i64..12)), 1..6),
     ) {
@@ -198,7 +198,7 @@ proptest! {
     }
 
     #[test]
-    fn an_order_of_few_tasks_is_the_best_there_is(lengths in prop::collection::vec((1i64..9, 0usize..2), 2..6), jobs in 1usize..4) {
+    fn order_of_few_tasks_is_optimal(lengths in prop::collection::vec((1i64..9, 0usize..2), 2..6), jobs in 1usize..4) {
         let mut network = Network::new();
         let mut tasks: Vec<Task> = Vec::new();
         let mut last = vec![network.origin(); jobs];
@@ -236,7 +236,7 @@ fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64
 }
 
 #[test]
-fn an_order_is_found_where_others_have_to_wait_with_a_task() {
+fn order_is_found_for_tasks_tied_to_other_events() {
     // The third cue begins shortly before the first one ends.
     assert_eq!(found_near(&[(2, 5, Some(-1), None)]), Some(20));
     // The third cue begins with the first one or exactly 3 after it, and the second cue must be first.

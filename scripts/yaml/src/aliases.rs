@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_list_of_aliases_is_refused_where_it_is_too_much() {
+    fn long_alias_list_is_refused_where_it_exceeds_limit() {
         let text = format!("a: &a {{b: [1, 2, 3], c: x}}\nl:\n{}", "  - *a\n".repeat(1_300_000));
         let finding = found(&text).unwrap();
         assert_eq!((finding.code, finding.column), (Code::TooMuch, 5));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn aliases_of_aliases_count_with_all_that_they_stand_for() {
+    fn nested_aliases_count_with_their_full_expansion() {
         let mut text = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n".to_owned();
         for level in 1..9 {
             let before = format!("*a{}, ", level - 1).repeat(9);
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_run_of_keyframes_counts_with_all_its_rows() {
+    fn aliased_keyframes_count_with_all_their_rows() {
         let rows = "  - {at: 1s, to: 2}\n".repeat(10_000);
         let text = |uses: usize| format!("a: &a\n{rows}b: [{}]\n", "*a, ".repeat(uses));
         assert_eq!(found(&text(2)), None);
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_aliases_as_people_write_are_read() {
+    fn realistic_number_of_aliases_is_accepted() {
         let text = format!("a: &a {{b: 1}}\nl:\n{}", "  - *a\n".repeat(10_000));
         assert_eq!(found(&text), None);
     }

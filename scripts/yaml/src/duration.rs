@@ -348,7 +348,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_is_written_so_that_it_reads_back_as_the_same() {
+    fn written_time_reads_back_unchanged() {
         let nanos = [0, 1, 999, 1_000, 420_123, 1_000_000, 999_999_999, 1_000_000_000, 216_810_420_123];
         for nanos in nanos.into_iter().chain([9_007_199_254_740_991, 99_999_999_999_999_999]) {
             let span = Span::from_nanos(nanos);
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_in_another_form_is_shown_in_this_one() {
+    fn unsupported_time_notation_gets_hint_with_supported_form() {
         for (text, right) in [
             ("1:30", "write hours, minutes and seconds, as in `00:01:30` or `01:30:00`"),
             ("75:20", "write hours, minutes and seconds, as in `01:15:20` or `75:20:00`"),
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn an_instant_is_told_from_a_length_of_time_and_from_an_expression() {
+    fn date_or_time_of_day_is_distinguished_from_duration_and_expression() {
         for date in ["2026-12-01", "2026-12-01T20:00:00Z", "2026-12-01 20:00", "1.12.2026", "12/01/2026"] {
             assert_eq!(instant(date), Some("date"), "{date}");
         }
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_read_as_people_write_them() {
+    fn times_are_parsed_in_common_notations() {
         let millis = |text| parse_duration(text).map(Span::as_millis_f64);
         assert_eq!(millis("2s"), Some(2_000.0));
         assert_eq!(millis("250ms"), Some(250.0));

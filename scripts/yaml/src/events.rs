@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_braces_has_the_places_of_the_text() {
+    fn scalar_positions_match_text_inside_braces() {
         for text in [
             "{a: 1,\n b: [x, y]}",
             "\n\n  {a: 1,\n b: [x, y]}\n",
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn braces_are_read_as_they_come_and_not_held_until_they_close() {
+    fn unclosed_brackets_are_read_incrementally() {
         let text = format!("{{a: [{}", "1, ".repeat(1_000));
         let mut count = 0;
         Events::of(&text).each(|_, _| {

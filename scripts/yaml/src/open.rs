@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn pipes_devices_and_folders_are_no_files_and_nothing_waits_for_them() {
+    fn pipes_devices_and_folders_are_refused_without_waiting() {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         mknodat(CWD, &pipe, Kind::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_of_the_shell_is_read_to_its_end() {
+    fn shell_pipe_is_read_to_its_end() {
         let (read, mut write) = std::io::pipe().unwrap();
         let path = format!("/dev/fd/{}", read.as_raw_fd());
         let mut file = open(Path::new(&path)).unwrap();
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_names_no_link() {
+    fn link_named_in_another_file_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (real, link) = (folder.path().join("real"), folder.path().join("link"));
         std::fs::write(&real, "text").unwrap();

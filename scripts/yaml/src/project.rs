@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repository_is_a_project_or_else_the_folder_of_a_fleet_or_else_the_folder_of_the_file() {
+    fn project_is_repository_else_fleet_folder_else_file_folder() {
         let stage = Stage::of(&[
             "a/fleet.yaml",
             "a/shows/x.yaml",
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_to_which_every_user_writes_is_no_project_of_those_below() {
+    fn folder_writable_by_every_user_is_not_a_project() {
         let stage = Stage::of(&["t/.git/", "t/show/x.yaml"]);
         stage.check("t/show/x.yaml", "t");
         std::fs::set_permissions(stage.path("t"), std::fs::Permissions::from_mode(0o1777)).unwrap();
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_folder_of_another_user_is_no_project() {
+    fn folder_of_another_user_is_not_a_project() {
         let stage = Stage::of(&["t/.git/", "t/show/x.yaml"]);
         if !rustix::process::geteuid().is_root() {
             // Only root can give a folder away.
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leads_outside_is_not_read_whether_it_exists_or_not() {
+    fn paths_outside_project_are_not_read_whether_they_exist_or_not() {
         let stage = Stage::of(&["in/x.yaml", "in/deep/y.yaml", "out/secret"]);
         symlink(stage.path("out/secret"), stage.path("in/link")).unwrap();
         symlink(stage.path("out"), stage.path("in/folder")).unwrap();

@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refusal_says_what_to_do_and_spares_the_number_of_the_error() {
+    fn refusal_gives_advice_and_omits_error_number() {
         let told = |attempt, number| Refusal::of(attempt, &io::Error::from_raw_os_error(number)).to_string();
         let path = Path::new("shows/a.yaml");
         assert_eq!(

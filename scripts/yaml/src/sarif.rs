@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_finding_becomes_a_result_that_points_at_its_rule_and_place() {
+    fn finding_becomes_sarif_result_with_rule_and_position() {
         let mut finding =
             Finding::about_file(Code::OffGranularity, "my show.yaml", "off".into(), "on", Some("fix".into()));
         (finding.line, finding.column, finding.width) = (3, 5, 4);

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn plain_text_of_any_language_stays_as_it_is() {
+    fn plain_text_in_any_language_is_unchanged() {
         check(
             "arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾",
             "arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾",
@@ -160,26 +160,26 @@ mod tests {
     }
 
     #[test]
-    fn control_characters_and_escape_sequences_are_written_out() {
+    fn control_characters_and_escape_sequences_are_escaped() {
         check("\u{1b}]0;title\u{7}", "\\u{1b}]0;title\\u{7}");
         check("\u{1b}[2J\u{1b}[32mall robots", "\\u{1b}[2J\\u{1b}[32mall robots");
         check("\u{9b}2J\u{7f}\0", "\\u{9b}2J\\u{7f}\\u{0}");
     }
 
     #[test]
-    fn no_line_can_be_forged() {
+    fn output_lines_cannot_be_forged() {
         check("hot\nall robots: default state confirmed\r", "hot\\nall robots: default state confirmed\\r");
         check("a\u{2028}b\u{85}", "a\\u{2028}b\\u{85}");
     }
 
     #[test]
-    fn the_direction_of_text_cannot_be_turned() {
+    fn text_direction_cannot_be_reversed() {
         check("arm\u{202e}1-mra\u{2066}", "arm\\u{202e}1-mra\\u{2066}");
         check("a\u{200b}b\u{feff}\u{e0041}", "a\\u{200b}b\\u{feff}\\u{e0041}");
     }
 
     #[test]
-    fn long_text_is_cut_at_a_column() {
+    fn long_text_is_cut_at_column_limit() {
         assert_eq!(within("arm", 3), "arm");
         assert_eq!(within("arms", 3), "ar…");
         assert_eq!(within("腕腕腕", 5), "腕腕…");
@@ -193,14 +193,14 @@ mod tests {
     }
 
     #[test]
-    fn a_block_keeps_only_line_ends_and_colours() {
+    fn block_keeps_only_line_ends_and_colours() {
         let ours = "\u{1b}[1m\u{1b}[31merror\u{1b}[0m: x\n";
         assert_eq!(block(ours), ours);
         assert_eq!(block("\u{1b}[2J\u{1b}]52;c;aGk=\u{7}a\rb\n"), "\\u{1b}[2J\\u{1b}]52;c;aGk=\\u{7}a\\rb\n");
     }
 
     #[test]
-    fn json_means_the_same_without_what_terminals_obey() {
+    fn json_keeps_its_meaning_without_terminal_control_characters() {
         let text = serde_json::to_string_pretty(&["a\u{9b}2J\u{202e}\u{7f}", "腕\n"]).unwrap();
         let safe = json(&text);
         assert!(!safe.contains(['\u{9b}', '\u{202e}', '\u{7f}']), "{safe}");

@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_byte_order_mark_is_no_text() {
+    fn byte_order_mark_is_removed_from_text() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("show.yaml");
         std::fs::write(&path, "\u{feff}scenario: show\n").unwrap();

@@ -84,7 +84,7 @@ fn split(block: &str) -> Vec<String> {
 }
 
 #[test]
-fn sentences_end_where_they_end() {
+fn markdown_is_split_into_sentences_correctly() {
     let markdown = "\
 # A heading. No sentence
 

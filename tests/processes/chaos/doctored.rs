@@ -132,7 +132,7 @@ const DOCTORED: &[Doctored] = &[
 ];
 
 #[test]
-fn the_judge_finds_every_lie_and_every_wrong_movement() {
+fn judge_detects_every_false_report_and_wrong_movement() {
     super::held_up::watch();
     let mut played = faultless();
     let found = judge(&played).wrong;

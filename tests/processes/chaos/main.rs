@@ -115,7 +115,7 @@ fn number(name: &str) -> Option<u64> {
 }
 
 #[test]
-fn whatever_befalls_processes_and_links_reports_and_exit_codes_agree_with_the_robots_logs() {
+fn reports_and_exit_codes_agree_with_robot_logs_under_random_faults() {
     let first = number("DOWNBEAT_CHAOS_FIRST").unwrap_or(0);
     let missions = number("DOWNBEAT_CHAOS").unwrap_or(12);
     held_up::watch();

@@ -109,7 +109,7 @@ const MOVES: &str = "latency: 60ms, spread: 2ms, time_constant: 15ms, sensor: an
 const BY: &str = "sensor: angle, by: 2, taken: request";
 
 #[test]
-fn a_lag_is_measured_and_written_and_the_device_is_back_where_it_was() {
+fn lag_is_measured_and_saved_and_device_returns_to_its_position() {
     let show = Show::new(MOVES, BY);
     show.session.file(
         "latency.yaml",
@@ -129,7 +129,7 @@ fn a_lag_is_measured_and_written_and_the_device_is_back_where_it_was() {
 }
 
 #[test]
-fn a_dry_run_moves_nothing_and_says_what_would_move_and_what_not() {
+fn dry_run_moves_nothing_and_lists_planned_and_skipped_devices() {
     let show = Show::new(MOVES, BY);
     let ran = show.session.run(&["calibrate", "--dry-run"]);
     ran.says(0, &["elbow", "angle", "2 deg", "grip: not measured: no sensor measures its position"]);
@@ -138,7 +138,7 @@ fn a_dry_run_moves_nothing_and_says_what_would_move_and_what_not() {
 }
 
 #[test]
-fn what_cannot_be_judged_is_refused_before_anything_moves() {
+fn noisy_sensor_or_wrong_start_position_is_refused_before_any_movement() {
     let noisy = Show::new("sensor: angle, noise: 1", BY);
     noisy.calibrate(&[]).says(1, &["too much for a movement of 2"]);
     noisy.has_not_moved();
@@ -161,7 +161,7 @@ done
 "#;
 
 #[test]
-fn a_reading_that_stays_out_now_and_then_is_asked_for_again() {
+fn failed_sensor_reading_is_requested_again() {
     let session = Session::new();
     let robot = "robots:\n  arm: {init: robot.yaml, address: 'program:sh drive.sh', calibrate: {elbow: {sensor: angle, by: 2}}}\n";
     session.file("robot.yaml", ARM).file("fleet.yaml", robot).file("drive.sh", FORGETFUL);
@@ -171,7 +171,7 @@ fn a_reading_that_stays_out_now_and_then_is_asked_for_again() {
 }
 
 #[test]
-fn a_device_that_does_not_move_is_given_up_soon() {
+fn calibration_gives_up_soon_if_device_does_not_move() {
     // The sensor of the body shows no movement for longer than the calibration watches.
     let show = Show::new("latency: 10s, sensor: angle", BY);
     show.calibrate(&[]).says(1, &["the sensor shows no movement"]);
@@ -179,14 +179,14 @@ fn a_device_that_does_not_move_is_given_up_soon() {
 }
 
 #[test]
-fn a_file_that_cannot_be_written_is_noticed_before_anything_moves() {
+fn unwritable_output_file_is_reported_before_any_movement() {
     let show = Show::new(MOVES, BY);
     show.calibrate(&["--output", "no/such/folder.yaml"]).says(2, &["cannot write no/such/folder.yaml"]);
     assert_eq!(show.settled_log(), Vec::<Value>::new());
 }
 
 #[test]
-fn a_robot_of_another_session_is_left_alone() {
+fn robot_of_another_session_is_not_moved() {
     let show = Show::new(MOVES, BY);
     let mut other = TcpStream::connect(("127.0.0.1", show.port)).unwrap();
     writeln!(other, r#"{{"availability_request":{{"session":"another"}}}}"#).unwrap();
@@ -197,7 +197,7 @@ fn a_robot_of_another_session_is_left_alone() {
 }
 
 #[test]
-fn a_link_that_is_cut_leaves_the_device_at_rest() {
+fn cut_link_leaves_device_at_rest() {
     let show = Show::new(MOVES, BY);
     let running = show.start();
     show.await_movements(2);
@@ -214,7 +214,7 @@ fn a_link_that_is_cut_leaves_the_device_at_rest() {
 }
 
 #[test]
-fn an_interrupt_leaves_the_device_where_it_is_and_the_robot_free() {
+fn interrupt_leaves_device_in_place_and_robot_free() {
     let show = Show::new(MOVES, BY);
     let running = show.start();
     show.await_movements(2);
@@ -226,7 +226,7 @@ fn an_interrupt_leaves_the_device_where_it_is_and_the_robot_free() {
 }
 
 #[test]
-fn a_mission_whose_motions_no_sensor_can_verify_is_refused_before_anything_moves() {
+fn mission_with_unverifiable_motions_is_refused_before_any_movement() {
     let session = Session::new();
     session
         .file("robot.yaml", ARM)

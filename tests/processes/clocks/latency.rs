@@ -11,7 +11,7 @@ const LATENCY: i64 = 60_000_000;
 const BUSY: i64 = 30_000_000;
 
 #[test]
-fn a_robot_that_moves_60_ms_late_is_commanded_60_ms_earlier() {
+fn robot_with_60_ms_latency_is_commanded_60_ms_earlier() {
     let mut stage = Stage::new();
     stage.file("arm.yaml", one_device(1, 9, 9)).file("play.yaml", PLAY);
     stage.robot_with("arm.yaml", Via::Direct, Vec::new(), ", latency: 60ms");
@@ -34,7 +34,7 @@ fn a_robot_that_moves_60_ms_late_is_commanded_60_ms_earlier() {
 }
 
 #[test]
-fn what_varies_in_a_latency_is_part_of_the_budget_and_shown_apart_from_the_clocks() {
+fn latency_variation_is_budgeted_and_shown_separately_from_clocks() {
     let mut stage = Stage::new();
     stage.file("arm.yaml", one_device(1, 9, 9)).file("play.yaml", PLAY);
     stage.robot_with("arm.yaml", Via::Direct, Vec::new(), ", latency: {d: {median: 20ms, spread: 100ms}}");
@@ -50,7 +50,7 @@ fn what_varies_in_a_latency_is_part_of_the_budget_and_shown_apart_from_the_clock
 }
 
 #[test]
-fn plan_and_check_show_which_latency_is_compensated_and_where_it_is_from() {
+fn plan_and_check_show_compensated_latency_and_its_source() {
     let session = Session::new();
     let arm = one_device(1, 9, 9).replace("    name: d\n", "    name: d\n    latency: 25\n");
     session.file("arm.yaml", arm).file("play.yaml", PLAY);

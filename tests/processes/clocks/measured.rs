@@ -44,7 +44,7 @@ fn between(value: &Value, least: f64, most: f64) {
 }
 
 #[test]
-fn a_recording_gives_back_the_delays_and_clocks_that_were_simulated() {
+fn recording_reproduces_simulated_delays_and_clocks() {
     let session = recorded();
     let measured = session.run(&["world", "show.mcap", "--format", "json"]).json();
     for (robot, offset) in [(0, 120.0), (1, 0.0)] {
@@ -83,7 +83,7 @@ fn a_recording_gives_back_the_delays_and_clocks_that_were_simulated() {
 }
 
 #[test]
-fn a_journal_tells_of_clocks_alone_and_of_none_where_all_follow_ntp() {
+fn journal_yields_only_measured_clocks_and_nothing_if_all_follow_ntp() {
     let session = recorded();
     let state = fs::read_dir(session.path("state")).unwrap().map(|entry| entry.unwrap().path());
     let folder = state.into_iter().find(|folder| folder.join("journal").exists()).unwrap();
@@ -106,7 +106,7 @@ fn a_journal_tells_of_clocks_alone_and_of_none_where_all_follow_ntp() {
 }
 
 #[test]
-fn the_delay_of_a_proxy_is_measured_one_way() {
+fn proxy_delay_is_measured_one_way() {
     let stage = CHAIN.stage(&[Via::Proxy]);
     stage.robots[0].link.as_ref().unwrap().delay(Duration::from_millis(30));
     let ended = stage.run(&["run", "play.yaml", "--record", "play.mcap"]);

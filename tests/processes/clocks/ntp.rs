@@ -37,7 +37,7 @@ fn serve(offset: Duration) -> String {
 }
 
 #[test]
-fn the_offset_of_an_ntp_server_is_found_within_its_uncertainty() {
+fn ntp_server_offset_is_measured_within_its_uncertainty() {
     let server = serve(Duration::from_millis(250));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let reading = runtime.block_on(ask_ntp(&server)).unwrap();
@@ -48,7 +48,7 @@ fn the_offset_of_an_ntp_server_is_found_within_its_uncertainty() {
 }
 
 #[test]
-fn robots_that_do_not_share_the_servers_time_keep_the_mission_from_starting() {
+fn robots_not_synchronized_with_ntp_server_prevent_mission_start() {
     let session = Session::new();
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
     session.file("arm.yaml", arm_at(45));
@@ -61,7 +61,7 @@ fn robots_that_do_not_share_the_servers_time_keep_the_mission_from_starting() {
 }
 
 #[test]
-fn an_ntp_server_that_does_not_answer_is_named() {
+fn unresponsive_ntp_server_is_named() {
     let session = Session::new();
     let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();

@@ -95,7 +95,7 @@ impl Drop for Robot {
 const ROBOT: [&str; 5] = ["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0"];
 
 #[test]
-fn a_robot_without_permission_says_so_in_one_line_with_what_would_allow_it_and_goes_on() {
+fn robot_without_permission_reports_remedy_in_one_line_and_continues() {
     let session = session();
     for format in ["text", "json"] {
         let mut command = without_permission(&session, &ROBOT);
@@ -113,7 +113,7 @@ fn a_robot_without_permission_says_so_in_one_line_with_what_would_allow_it_and_g
 }
 
 #[test]
-fn a_robot_takes_what_is_permitted_and_says_what_it_got() {
+fn robot_uses_and_reports_permitted_real_time_scheduling() {
     let permitted = Command::new("chrt").args(["-f", "50", "true"]).stderr(Stdio::null()).status();
     let permitted = permitted.is_ok_and(|status| status.success());
     let session = session();
@@ -127,7 +127,7 @@ fn a_robot_takes_what_is_permitted_and_says_what_it_got() {
 }
 
 #[test]
-fn real_time_scheduling_that_is_off_is_neither_asked_for_nor_told() {
+fn disabled_real_time_scheduling_is_neither_requested_nor_reported() {
     let session = session();
     let mut command = session.command(&ROBOT);
     command.args(["--realtime", "off"]);
@@ -137,7 +137,7 @@ fn real_time_scheduling_that_is_off_is_neither_asked_for_nor_told() {
 }
 
 #[test]
-fn real_time_scheduling_that_is_required_and_not_to_be_had_is_told_of_and_nothing_starts() {
+fn missing_required_real_time_scheduling_is_reported_and_prevents_start() {
     let session = session();
     session.file("edge.sh", "touch moved; cat > /dev/null");
     let edge = ["edge", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--driver", "program:sh edge.sh"];
@@ -153,7 +153,7 @@ fn real_time_scheduling_that_is_required_and_not_to_be_had_is_told_of_and_nothin
 }
 
 #[test]
-fn a_mission_says_what_its_own_robots_got_and_plays_without_permission() {
+fn mission_reports_denied_real_time_scheduling_and_still_plays() {
     let session = session();
     let ran = Ran(without_permission(&session, &["run", "test.yaml"]).output().unwrap());
     ran.says(0, &REFUSED);
@@ -162,13 +162,13 @@ fn a_mission_says_what_its_own_robots_got_and_plays_without_permission() {
 }
 
 #[test]
-fn a_word_that_is_no_choice_is_refused_with_the_choices() {
+fn invalid_realtime_option_is_rejected_with_valid_choices() {
     let session = session();
     session.run(&["robot", "--init", "arm.yaml", "--realtime", "on"]).says(2, &["auto, off, required"]);
 }
 
 #[test]
-fn preflight_tells_how_late_this_host_wakes_up_and_what_it_was_granted() {
+fn preflight_reports_wake_up_delay_and_granted_scheduling() {
     let session = session();
     let ran = Ran(without_permission(&session, &["preflight", "test.yaml"]).output().unwrap());
     ran.says(0, &["this host wakes up", "(median)", "(p99)", "no real-time scheduling", "LimitRTPRIO=50"]);

@@ -47,7 +47,7 @@ fn served<F: Future>(serve: impl FnOnce(TcpListener) -> F + Send + 'static) -> S
 }
 
 #[test]
-fn the_robot_to_copy_does_what_the_protocol_demands() {
+fn example_robot_conforms_to_the_protocol() {
     let host = Host::start(vec![robot::arm().unwrap()], HostOptions::default()).unwrap();
     let handle = host.handle();
     let address = served(async |listener| serve(listener, handle, 0).await.unwrap());
@@ -107,7 +107,7 @@ fn answer(stream: &mut TcpStream, request: ControlRequest) -> Status {
 }
 
 #[test]
-fn the_driver_to_copy_sets_and_reads_its_hardware() {
+fn example_driver_sets_and_reads_its_hardware() {
     let description = r#"{"id": "hall", "api_version": "1", "devices": [
         {"id": "fan", "available_control_types": {"speed": {"min_value": 0, "max_value": 9, "granularity": 1}}},
         {"id": "warmth", "available_control_types": {"sensor": {"min_value": -40, "max_value": 80}}}]}"#;
@@ -129,7 +129,7 @@ fn the_driver_to_copy_sets_and_reads_its_hardware() {
 }
 
 #[test]
-fn the_machine_to_copy_sets_each_step_at_its_time() {
+fn example_machine_sets_each_step_at_its_time() {
     let told = machine::play().unwrap();
     let set: Vec<_> = told.iter().filter(|line| line.contains("set lamp")).collect();
     assert_eq!(set.len(), 3, "{told:#?}");
@@ -138,7 +138,7 @@ fn the_machine_to_copy_sets_each_step_at_its_time() {
 }
 
 #[test]
-fn the_scheduler_to_copy_plays_a_show() {
+fn example_scheduler_plays_a_show() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let (fleet, scenario) = (root().join("fleet.yaml"), root().join("scripts/examples/swap.yaml"));
     let play = || {

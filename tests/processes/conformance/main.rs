@@ -110,12 +110,12 @@ fn check_passes(robot: &str, not_applicable: &[&str]) {
 }
 
 #[test]
-fn an_arm_passes_all_that_an_arm_can() {
+fn arm_passes_all_applicable_requirements() {
     check_passes(ARM, &["sensor", "lease-left-on", "lease-left-on-kept"]);
 }
 
 #[test]
-fn a_rover_with_a_sensor_passes_everything_but_what_takes_positions() {
+fn rover_with_sensor_passes_everything_except_position_checks() {
     check_passes(
         ROVER,
         &[
@@ -130,7 +130,7 @@ fn a_rover_with_a_sensor_passes_everything_but_what_takes_positions() {
 }
 
 #[test]
-fn what_a_robot_without_scripts_and_reports_does_not_declare_is_not_held_against_it() {
+fn robot_does_not_fail_requirements_for_undeclared_features() {
     let examined = examined_undisturbed(|| proxy::robot(LAMP, Settings::default()), options(&[]));
     assert_eq!(told(&examined, Verdict::Fail), "");
     let passed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Pass).count();
@@ -138,7 +138,7 @@ fn what_a_robot_without_scripts_and_reports_does_not_declare_is_not_held_against
 }
 
 #[test]
-fn a_robot_that_answers_no_inquiries_is_asked_none() {
+fn robot_without_inquiry_support_receives_no_inquiries() {
     let silent: proxy::Fault = |_, passing| {
         if let Some(block) = passing.json.get_mut("initialization_block") {
             block["inquiry"] = serde_json::json!(false);
@@ -156,7 +156,7 @@ fn a_robot_that_answers_no_inquiries_is_asked_none() {
 }
 
 #[test]
-fn a_clock_that_is_off_is_measured_when_asked_for() {
+fn clock_offset_is_measured_on_request() {
     let mut options = options(&["clock", "deferred-start", "late", "script-timing"]);
     options.clock_measured = true;
     let examined = examined_undisturbed(|| proxy::robot(ARM, ahead()), options);
@@ -190,7 +190,7 @@ fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
 const AT_A_TIME: usize = 8;
 
 #[test]
-fn each_planted_fault_fails_what_it_breaks_and_nothing_else() {
+fn each_injected_fault_fails_only_the_requirements_it_violates() {
     let mutants = faults::all();
     let (next, wrong) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     std::thread::scope(|scope| {
@@ -217,7 +217,7 @@ fn each_planted_fault_fails_what_it_breaks_and_nothing_else() {
 }
 
 #[test]
-fn what_comes_after_the_death_of_a_robot_is_not_waited_for() {
+fn checks_do_not_wait_for_a_dead_robot() {
     let robot = proxy::faulty(proxy::robot(ARM, Settings::default()), proxy::Serving::AtMost(15), |_, _| {
         proxy::Then::Pass
     });
@@ -229,7 +229,7 @@ fn what_comes_after_the_death_of_a_robot_is_not_waited_for() {
 }
 
 #[test]
-fn every_requirement_is_failed_by_some_fault() {
+fn every_requirement_has_a_fault_that_fails_it() {
     let mutants = faults::all();
     let mut failed: BTreeSet<_> = mutants.iter().flat_map(|mutant| mutant.fails.iter().copied()).collect();
     // Faults of doors that require a proof.
@@ -239,7 +239,7 @@ fn every_requirement_is_failed_by_some_fault() {
 }
 
 #[test]
-fn the_document_lists_every_requirement_as_the_program_does() {
+fn document_and_program_list_the_same_requirements() {
     let document = std::fs::read_to_string(root().join("docs/conformance.md")).unwrap();
     let rows: String =
         requirements().map(|r| format!("| `{}` | {} | {} |\n", r.name, r.demands, r.section)).collect();
@@ -253,7 +253,7 @@ fn the_document_lists_every_requirement_as_the_program_does() {
 }
 
 #[test]
-fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
+fn conformance_command_shows_table_and_returns_correct_exit_code() {
     let session = Session::new();
     let robot = proxy::robot(ARM, Settings::default());
     let right = format!("tcp://{robot}");
@@ -303,7 +303,7 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
 }
 
 #[test]
-fn ctrl_c_leaves_the_robot_at_rest() {
+fn ctrl_c_leaves_robot_at_rest() {
     static HOLDS: AtomicBool = AtomicBool::new(false);
     let robot = proxy::robot(ARM, Settings::default());
     let watched = proxy::faulty(robot, proxy::Serving::All, |_, passing| {

@@ -215,7 +215,7 @@ fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
 }
 
 #[test]
-fn each_fault_of_a_door_fails_what_it_breaks_and_nothing_else() {
+fn each_authentication_fault_fails_only_the_requirements_it_violates() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "operator", "anna", "--role", "observe,drive"]).says(0, &[]);

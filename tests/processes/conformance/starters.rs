@@ -89,7 +89,7 @@ fn python() -> Command {
 
 /// Both devices hold their values. Their second script begins when the first one ends, but its first value is due 500 ms later.
 #[test]
-fn the_robot_to_copy_in_python_starts_with_one_of_downbeats_own_if_first_values_come_later() {
+fn starter_robot_in_python_starts_in_sync_if_first_values_are_later() {
     const DEVICES: &str = "
 api_version: '1'
 reports: true
@@ -125,14 +125,14 @@ devices:
 }
 
 #[test]
-fn the_robot_to_copy_in_python_bounds_what_strangers_cost() {
+fn starter_robot_in_python_limits_resources_used_by_strangers() {
     let mut robot = python();
     robot.arg(root().join("robot/starters/python/robot.py"));
     check(robot, 16);
 }
 
 #[test]
-fn the_robot_to_copy_in_c_bounds_what_strangers_cost() {
+fn starter_robot_in_c_limits_resources_used_by_strangers() {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("robot");
     let sources = root().join("robot/starters/c");

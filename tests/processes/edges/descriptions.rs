@@ -8,7 +8,7 @@ use super::{TANK, session, sets};
 use stage::session::Session;
 
 #[test]
-fn a_thrift_robot_is_asked_and_says_no() {
+fn thrift_driver_sets_reads_describes_and_reports_lost_connection() {
     let session = session();
     let (tank, port) = Tank::start(&session, "1.log", 0);
     let block = downbeat_scripts::read_init(&session.path("tank.json")).unwrap();
@@ -31,7 +31,7 @@ fn a_thrift_robot_is_asked_and_says_no() {
 }
 
 #[test]
-fn a_device_with_two_control_types_or_a_space_is_refused_by_drivers_that_cannot_say_it() {
+fn drivers_refuse_multiple_control_types_and_ids_with_spaces() {
     let session = Session::new();
     session.file(
         "two.yaml",
@@ -45,7 +45,7 @@ fn a_device_with_two_control_types_or_a_space_is_refused_by_drivers_that_cannot_
 }
 
 #[test]
-fn a_robot_describes_itself_as_an_init_file_by_either_protocol() {
+fn robot_description_is_printed_as_init_file_over_either_protocol() {
     let session = session();
     let (_tank, port) = Tank::start(&session, "1.log", 0);
     let told = session.run(&["fleet", "describe", &format!("thrift://127.0.0.1:{port}")]);
@@ -60,7 +60,7 @@ fn a_robot_describes_itself_as_an_init_file_by_either_protocol() {
 }
 
 #[test]
-fn faults_in_the_description_of_a_thrift_robot_are_found_in_either_file() {
+fn thrift_robot_description_errors_are_reported_in_the_right_file() {
     let session = session();
     let tank = |keys: &str| {
         format!(

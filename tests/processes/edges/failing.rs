@@ -12,7 +12,7 @@ use super::{of, session, sets};
 use stage::signal;
 
 #[test]
-fn hardware_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_starts() {
+fn hardware_death_just_before_start_is_detected_and_prevents_start() {
     for before in [327, 108, 40] {
         let session = session();
         let (tank, port) = Tank::start(&session, "1.log", 0);
@@ -30,7 +30,7 @@ fn hardware_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_start
 }
 
 #[test]
-fn hardware_that_freezes_shortly_before_a_start_makes_the_edge_unready_and_nothing_starts() {
+fn hardware_freeze_before_start_makes_edge_unready_and_prevents_start() {
     let session = session();
     let (tank, port) = Tank::start(&session, "1.log", 0);
     let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
@@ -51,7 +51,7 @@ fn hardware_that_freezes_shortly_before_a_start_makes_the_edge_unready_and_nothi
 }
 
 #[test]
-fn an_edge_that_was_stopped_and_goes_on_sets_no_value_that_has_become_stale() {
+fn suspended_edge_sets_no_stale_values_after_continuing() {
     let session = session();
     let (_tank, port) = Tank::start(&session, "1.log", 0);
     let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
@@ -68,7 +68,7 @@ fn an_edge_that_was_stopped_and_goes_on_sets_no_value_that_has_become_stale() {
 }
 
 #[test]
-fn a_program_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_starts() {
+fn program_death_just_before_start_is_detected_and_prevents_start() {
     let session = session();
     session.file("drive.sh", DRIVE);
     let edge = Edge::start(&session, "tank.json", "program:echo $$ > pid; exec sh drive.sh driven.txt");

@@ -145,7 +145,7 @@ impl Rig {
 
 #[test]
 #[expect(clippy::print_stdout, reason = "figures for people")]
-fn a_whole_script_is_played_by_the_program_and_the_report_is_its_own_log() {
+fn program_plays_whole_script_and_report_matches_its_log() {
     let Some(rig) = Rig::start("script", &["--log-file", "edge.jsonl"]) else { return };
     let ran = rig.play(
         "{at: 0s, to: 40}, {at: 300ms, to: 20}, {at: 600ms, to: 0}",
@@ -193,7 +193,7 @@ fn a_whole_script_is_played_by_the_program_and_the_report_is_its_own_log() {
 }
 
 #[test]
-fn a_program_with_a_horizon_is_told_the_steps_as_they_come() {
+fn program_with_horizon_receives_steps_incrementally() {
     let Some(rig) = Rig::start("horizon", &[]) else { return };
     let ran = rig
         .play("{at: 0s, to: 1}, {at: 500ms, to: 2}, {at: 1s, to: 3}, {at: 1500ms, to: 4}", "{at: 0s, to: 5}");
@@ -206,7 +206,7 @@ fn a_program_with_a_horizon_is_told_the_steps_as_they_come() {
 }
 
 #[test]
-fn a_stop_in_the_middle_of_a_script_is_confirmed_once_the_program_has_ended_it() {
+fn stop_during_script_is_confirmed_after_the_program_ended_it() {
     let Some(mut rig) = Rig::start("script", &[]) else { return };
     let said = rig.meanwhile(|rig| {
         rig.session.run(&["stop"]).says(0, &["confirmed"]);
@@ -218,7 +218,7 @@ fn a_stop_in_the_middle_of_a_script_is_confirmed_once_the_program_has_ended_it()
 }
 
 #[test]
-fn a_program_that_says_nothing_of_its_scripts_leaves_the_mission_unknown_and_not_done() {
+fn mission_is_not_done_if_program_reports_nothing_about_its_scripts() {
     let Some(rig) = Rig::start("mute", &[]) else { return };
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
@@ -227,7 +227,7 @@ fn a_program_that_says_nothing_of_its_scripts_leaves_the_mission_unknown_and_not
 }
 
 #[test]
-fn a_failure_in_a_step_is_reported_with_its_reason_and_the_steps_before_it() {
+fn step_failure_is_reported_with_step_number_and_reason() {
     let Some(rig) = Rig::start("script", &[]) else { return };
     let ran = rig.play(
         "{at: 0s, to: 1}, {at: 300ms, to: 2}, {at: 600ms, to: 66}, {at: 900ms, to: 3}",
@@ -239,7 +239,7 @@ fn a_failure_in_a_step_is_reported_with_its_reason_and_the_steps_before_it() {
 }
 
 #[test]
-fn a_program_that_dies_in_the_middle_of_a_script_leaves_the_mission_failed_and_is_started_again() {
+fn program_death_during_script_fails_the_mission_and_restarts_the_program() {
     let Some(rig) = Rig::start("script", &[]) else { return };
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 77}, {at: 900ms, to: 3}", "{at: 0s, to: 5}");
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
@@ -249,7 +249,7 @@ fn a_program_that_dies_in_the_middle_of_a_script_leaves_the_mission_failed_and_i
 }
 
 #[test]
-fn a_script_ends_at_the_program_when_the_edge_is_killed() {
+fn killing_the_edge_ends_the_script_in_the_program() {
     let Some(mut rig) = Rig::start("script", &[]) else { return };
     rig.meanwhile(|rig| {
         signal(&rig.edge.0, Signal::KILL);
@@ -263,7 +263,7 @@ fn a_script_ends_at_the_program_when_the_edge_is_killed() {
 }
 
 #[test]
-fn a_show_whose_steps_only_the_clock_says_is_not_done() {
+fn show_with_only_assumed_steps_is_not_done() {
     let Some(rig) = Rig::start("dead", &[]) else { return };
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
@@ -272,7 +272,7 @@ fn a_show_whose_steps_only_the_clock_says_is_not_done() {
 }
 
 #[test]
-fn a_controller_that_dies_before_the_start_lets_nothing_begin() {
+fn controller_death_before_start_prevents_start() {
     let Some(rig) = Rig::start("silent", &[]) else { return };
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
     assert_ne!(ran.code(), 0, "{}", ran.text());

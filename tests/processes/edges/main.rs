@@ -82,7 +82,7 @@ fn session() -> Session {
 }
 
 #[test]
-fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
+fn two_thrift_robots_start_together_and_receive_all_values_in_order() {
     let session = session();
     let tanks =
         [("tank-1", "1.log"), ("tank-2", "2.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
@@ -103,7 +103,7 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
 }
 
 #[test]
-fn with_the_addresses_of_two_thrift_robots_swapped_neither_moves() {
+fn two_thrift_robots_with_swapped_addresses_do_not_move() {
     let session = session();
     let tanks =
         [("tank-2", "2.log"), ("tank-1", "1.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
@@ -122,7 +122,7 @@ fn with_the_addresses_of_two_thrift_robots_swapped_neither_moves() {
 }
 
 #[test]
-fn a_sensor_of_a_thrift_robot_is_read_before_the_mission() {
+fn thrift_robot_sensor_is_read_before_the_mission() {
     let session = session();
     let (_tank, port) = Tank::start(&session, "1.log", 0);
     session.file("fleet.yaml", fleet(&[format!("thrift://127.0.0.1:{port}")], "above 13"));
@@ -132,7 +132,7 @@ fn a_sensor_of_a_thrift_robot_is_read_before_the_mission() {
 }
 
 #[test]
-fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
+fn missing_thrift_robot_is_named_and_prevents_start() {
     let session = session();
     let (tank, port) = Tank::start(&session, "1.log", 0);
     let (gone, gone_port) = Tank::start(&session, "2.log", 0);
@@ -148,7 +148,7 @@ fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
 }
 
 #[test]
-fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() {
+fn edge_survives_robot_restart_but_does_not_resume_the_script() {
     let session = session();
     session.file("tanks.yaml", SCENARIO.replace("600ms, to: 0", "60s, to: 0"));
     let (tank, port) = Tank::start(&session, "1.log", 0);
@@ -185,7 +185,7 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
 }
 
 #[test]
-fn an_edge_that_cannot_bring_its_devices_to_rest_says_so() {
+fn edge_reports_devices_it_cannot_bring_to_rest() {
     let session = session();
     let (tank, port) = Tank::start(&session, "1.log", 0);
     let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
@@ -200,7 +200,7 @@ fn an_edge_that_cannot_bring_its_devices_to_rest_says_so() {
 }
 
 #[test]
-fn a_run_names_the_hardware_of_its_own_that_it_could_not_bring_to_rest() {
+fn run_names_its_own_hardware_that_may_not_be_at_rest() {
     let session = session();
     session.file("tanks.yaml", SCENARIO.replace("600ms, to: 0", "60s, to: 0"));
     let (tank, port) = Tank::start(&session, "1.log", 0);
@@ -214,7 +214,7 @@ fn a_run_names_the_hardware_of_its_own_that_it_could_not_bring_to_rest() {
 }
 
 #[test]
-fn an_edge_that_finds_its_port_taken_moves_nothing() {
+fn edge_moves_nothing_if_its_port_is_in_use() {
     let session = session();
     session.file("drive.sh", DRIVE);
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

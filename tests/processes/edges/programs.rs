@@ -14,7 +14,7 @@ use stage::signal;
 pub const DRIVE: &str = include_str!("../drivers/drive.sh");
 
 #[test]
-fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
+fn shell_script_drives_a_robot_and_is_restarted_after_it_dies() {
     let session = session();
     session.file("drive.sh", DRIVE).file(
         "tanks.yaml",
@@ -45,7 +45,7 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
 }
 
 #[test]
-fn a_program_that_answers_nothing_does_not_delay_the_end_of_its_edge() {
+fn unresponsive_program_does_not_delay_the_end_of_its_edge() {
     let session = session();
     // The second program answers `hello`, but not `init`.
     for silent in ["cat > /dev/null", "read -r hello; echo ok 2; cat > /dev/null"] {
@@ -61,7 +61,7 @@ fn a_program_that_answers_nothing_does_not_delay_the_end_of_its_edge() {
 }
 
 #[test]
-fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resume_after_it() {
+fn stop_does_not_start_program_of_killed_scheduler_but_resume_does() {
     let session = session();
     session
         .file("drive.sh", DRIVE)
@@ -98,7 +98,7 @@ fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resu
 }
 
 #[test]
-fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_another_folder() {
+fn resume_from_another_folder_restarts_program_of_killed_scheduler() {
     let session = session();
     session
         .file("drive.sh", DRIVE)
@@ -160,7 +160,7 @@ cues: [{at: 0s, robots: wheel, tracks: {wheel: {control: speed, keyframes: [{at:
 ";
 
 #[test]
-fn a_driver_is_told_to_stop_last_whatever_signal_asks_the_edge_to_end() {
+fn edge_sends_a_final_stop_to_its_driver_on_every_termination_signal() {
     for by in [Signal::INT, Signal::TERM, Signal::HUP, Signal::QUIT] {
         let (code, driven) = driven_until(&[by]);
         assert!(driven.ends_with("set wheel speed 0\n"), "{by:?}: {driven}");
@@ -169,7 +169,7 @@ fn a_driver_is_told_to_stop_last_whatever_signal_asks_the_edge_to_end() {
 }
 
 #[test]
-fn signals_that_ask_for_nothing_do_not_end_an_edge() {
+fn non_terminating_signals_do_not_end_an_edge() {
     let (code, driven) =
         driven_until(&[Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE, Signal::TERM]);
     assert!(driven.ends_with("set wheel speed 0\n"), "{driven}");
@@ -185,7 +185,7 @@ pub fn python() -> Option<String> {
 }
 
 #[test]
-fn the_python_program_of_the_documents_drives_too() {
+fn documented_python_program_drives_a_robot() {
     let Some(python) = python() else { return };
     let session = session();
     session.file("drive.py", include_str!("../drivers/drive.py"));
@@ -203,7 +203,7 @@ fn the_python_program_of_the_documents_drives_too() {
 }
 
 #[test]
-fn the_python_package_for_drivers_passes_its_own_tests() {
+fn python_driver_package_passes_its_own_tests() {
     let Some(python) = python() else { return };
     let tests = root().join("robot/drivers/python");
     let command = format!("{python} -m unittest discover tests");
@@ -239,7 +239,7 @@ Second().run()
 "#;
 
 #[test]
-fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_its_latency() {
+fn version_2_program_handles_frames_readings_faults_and_latency() {
     let Some(python) = python() else { return };
     let session = session();
     session.file("second.py", SECOND);
@@ -282,7 +282,7 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
 }
 
 #[test]
-fn a_program_that_declares_what_it_cannot_is_told_what_is_wrong() {
+fn invalid_latency_declaration_of_program_causes_a_warning() {
     let session = session();
     session.file(
         "drive.sh",
@@ -320,7 +320,7 @@ fn one_value(value: i32) -> (Ran, String) {
 }
 
 #[test]
-fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_and_not_done() {
+fn mission_is_not_done_if_program_never_acknowledges_last_value() {
     let (ran, said) = one_value(66);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     // The edge waits for an answer as long as the mission waits for the end, so either may be the first to give up.
@@ -333,7 +333,7 @@ fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_a
 }
 
 #[test]
-fn a_value_that_a_program_refuses_reads_as_refused() {
+fn value_refused_by_program_is_reported_as_refused() {
     let (ran, said) = one_value(55);
     let refused = "the hardware refused position 55 of `left`: the program reported: too hot";
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
@@ -375,7 +375,7 @@ fn slow(python: &str) -> Session {
 }
 
 #[test]
-fn a_program_that_takes_longer_than_ten_seconds_to_start_drives_a_robot_of_the_fleet_file() {
+fn program_with_startup_over_ten_seconds_drives_a_fleet_file_robot() {
     let Some(python) = python() else { return };
     let session = slow(&python);
     let in_time = ["--driver-start-timeout", "120s"];
@@ -390,7 +390,7 @@ fn a_program_that_takes_longer_than_ten_seconds_to_start_drives_a_robot_of_the_f
 }
 
 #[test]
-fn a_stop_does_not_wait_for_hardware_that_starts() {
+fn stop_does_not_wait_for_starting_hardware() {
     let Some(python) = python() else { return };
     let session = slow(&python);
     session.file("slow.py", SLOW.replace("sleep(11)", "sleep(600)"));
@@ -403,7 +403,7 @@ fn a_stop_does_not_wait_for_hardware_that_starts() {
 }
 
 #[test]
-fn the_edge_document_shows_the_programs_that_are_tested() {
+fn edge_document_contains_the_tested_programs() {
     let document = std::fs::read_to_string(root().join("docs/edge.md")).unwrap();
     for program in [DRIVE, include_str!("../drivers/drive.py"), include_str!("../thrift/urrcp.thrift")] {
         assert!(document.contains(program), "docs/edge.md lacks, word for word:\n{program}");
@@ -411,7 +411,7 @@ fn the_edge_document_shows_the_programs_that_are_tested() {
 }
 
 #[test]
-fn a_sensor_that_a_program_cannot_read_is_shown_with_its_reason() {
+fn failed_sensor_reading_of_program_is_shown_with_reason() {
     let session = session();
     session.file("drive.sh", DRIVE.replace("echo 12.5", "echo 'error the pack does not answer'"));
     session.file("fleet.yaml", fleet(&["program:sh drive.sh driven.txt".to_owned()], "above 12"));

@@ -24,7 +24,7 @@ fn plays_again(running: Running, act: &str) {
 }
 
 #[test]
-fn a_scheduler_that_stalls_over_the_commitment_starts_all_robots_a_little_later() {
+fn scheduler_stall_at_commitment_delays_the_start_of_all_robots() {
     let stage = SHORT.stage(&[Via::Direct; 3]);
     let mut running = stage.start(&["run", "play.yaml", "--lead", "1s"]);
     stalls(&mut running);
@@ -33,7 +33,7 @@ fn a_scheduler_that_stalls_over_the_commitment_starts_all_robots_a_little_later(
 }
 
 #[test]
-fn robots_that_are_sent_home_while_an_act_is_prepared_again_are_reported_as_their_logs_say() {
+fn report_matches_logs_of_robots_sent_home_during_repeated_preparation() {
     let mut stage = SHORT.stage(&[]);
     let device =
         stage::one_device(1, 200, 200).replace("    name: d\n", "    name: d\n    default_value: 5\n");
@@ -72,7 +72,7 @@ fn two_acts() -> Stage {
 }
 
 #[test]
-fn a_scheduler_that_stalls_before_an_act_stops_no_act_that_plays() {
+fn scheduler_stall_before_an_act_does_not_stop_a_playing_act() {
     let stage = two_acts();
     let mut running = stage.start(&["run", "play.yaml"]);
     running.start();

@@ -49,14 +49,14 @@ fn claims(lie: fn(&mut Value), claim: &str, possible: (&str, Value)) {
 }
 
 #[test]
-fn a_robot_that_tells_the_truth_is_believed() {
+fn truthful_reports_are_accepted() {
     let (stage, ended) = played(|_| {});
     assert_eq!(ended.code, Some(0), "{ended}");
     stage.robots.iter().for_each(|robot| PLAY.was_played_by(robot));
 }
 
 #[test]
-fn more_steps_than_there_are_were_not_done() {
+fn report_of_more_steps_than_planned_is_rejected() {
     let lie = |message: &mut Value| {
         if let Some(done) = response(message).and_then(|response| response.get_mut("steps_done")) {
             *done = json!(u32::MAX);
@@ -66,7 +66,7 @@ fn more_steps_than_there_are_were_not_done() {
 }
 
 #[test]
-fn a_script_has_not_completed_when_it_starts() {
+fn completion_reported_at_script_start_is_rejected() {
     let lie = |message: &mut Value| {
         if let Some(response) = response(message).filter(|response| response["status"] == "Started") {
             response["status"] = json!("OK");
@@ -79,7 +79,7 @@ fn a_script_has_not_completed_when_it_starts() {
 }
 
 #[test]
-fn a_script_has_not_completed_with_a_step_left() {
+fn completion_with_a_remaining_step_is_rejected() {
     let lie = |message: &mut Value| {
         if let Some(response) = response(message).filter(|response| response["status"] == "OK") {
             response["steps_done"] = json!(9);
@@ -89,7 +89,7 @@ fn a_script_has_not_completed_with_a_step_left() {
 }
 
 #[test]
-fn nothing_has_started_a_minute_ago_or_in_a_minute() {
+fn start_time_a_minute_in_the_past_or_future_is_rejected() {
     let lie = |message: &mut Value| {
         response(message).filter(|r| r["status"] == "Started").into_iter().for_each(|r| later(r, -60_000));
     };
@@ -102,7 +102,7 @@ fn nothing_has_started_a_minute_ago_or_in_a_minute() {
 
 /// Both robots report starts 344 ms late: these starts are simultaneous, but not when they were planned.
 #[test]
-fn starts_that_are_off_their_plan_are_out_of_tolerance_even_together() {
+fn simultaneous_starts_off_their_planned_time_are_out_of_tolerance() {
     let stage = PLAY.stage(&[Via::Proxy, Via::Proxy]);
     for robot in &stage.robots {
         robot.link.as_ref().unwrap().rewrite(|message| {

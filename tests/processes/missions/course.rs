@@ -44,7 +44,7 @@ fn fates(expected: [(&str, &str); 3]) -> Vec<(String, String)> {
 }
 
 #[test]
-fn an_act_whose_sensor_never_reads_what_it_waits_for_is_skipped_and_the_mission_is_not_simply_done() {
+fn outcome_names_the_act_skipped_for_its_unmet_sensor_condition() {
     let (stage, ended) = played("{sensor: r0/range, below: 0.5, timeout: 400ms, otherwise: end}");
     assert_eq!(ended.code, Some(5), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "not_reached")]));
@@ -61,7 +61,7 @@ fn an_act_whose_sensor_never_reads_what_it_waits_for_is_skipped_and_the_mission_
 }
 
 #[test]
-fn an_operator_who_does_not_say_go_in_time_is_named() {
+fn missing_operator_go_is_named_after_timeout() {
     let (_stage, ended) = played("{for: operator, timeout: 300ms, otherwise: three}");
     assert_eq!(ended.code, Some(5), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "played")]));
@@ -70,21 +70,21 @@ fn an_operator_who_does_not_say_go_in_time_is_named() {
 }
 
 #[test]
-fn without_otherwise_the_mission_fails_and_says_which_act_was_skipped() {
+fn timeout_without_otherwise_fails_the_mission_and_names_skipped_act() {
     let (_stage, ended) = played("{for: operator, timeout: 300ms}");
     assert_eq!(ended.code, Some(1), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "not_reached")]));
 }
 
 #[test]
-fn acts_that_are_all_played_are_done() {
+fn mission_with_all_acts_played_is_done() {
     let (_stage, ended) = played("done");
     assert_eq!(ended.code, Some(0), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "played"), ("three", "played")]));
 }
 
 #[test]
-fn an_act_that_is_stopped_while_it_plays_is_not_called_withdrawn_though_its_robot_tells_nothing() {
+fn stopped_act_of_silent_robot_is_not_reported_as_withdrawn() {
     let mut stage = Stage::new();
     let steps: Vec<_> = (0..40).map(|step| format!("{{at: {}ms, to: {step}}}", step * 100)).collect();
     let tracks = steps.join(", ");

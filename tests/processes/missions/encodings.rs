@@ -111,7 +111,7 @@ fn check_done(session: &Session) {
 }
 
 #[test]
-fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_have() {
+fn messages_switch_from_json_to_message_pack_once_robot_lists_it() {
     let session = Session::new();
     session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
     let robots = [Robot::start(&session, "r0"), Robot::start(&session, "r1")];
@@ -138,7 +138,7 @@ fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_ha
 }
 
 #[test]
-fn without_a_handshake_the_file_says_what_a_robot_understands() {
+fn without_handshake_encodings_are_taken_from_the_init_file() {
     let session = Session::new();
     session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
     let robots = [Robot::start(&session, "r0"), Robot::start(&session, "r1")];
@@ -162,7 +162,7 @@ fn without_a_handshake_the_file_says_what_a_robot_understands() {
 }
 
 #[test]
-fn a_robot_that_does_not_list_the_encoding_is_refused_and_never_hears_it() {
+fn robot_without_required_encoding_is_refused_and_receives_only_json() {
     fn unlisted(bytes: Vec<u8>) -> Vec<u8> {
         let text = String::from_utf8(bytes).unwrap();
         text.replace(r#""encodings":["msgpack"]"#, r#""encodings":["cbor"]"#).into_bytes()

@@ -36,7 +36,7 @@ fn scenario() -> String {
 }
 
 #[test]
-fn a_show_of_megabytes_starts_and_sets_every_value() {
+fn show_of_several_megabytes_starts_and_sets_every_value() {
     let busy = std::env::var("DOWNBEAT_LARGE_SHOWS").ok().and_then(|shows| shows.parse().ok());
     let shows = busy.unwrap_or(1);
     let mut stage = Stage::new();

@@ -36,7 +36,7 @@ fn run_in(zone: &str, session: &Session, args: &[&str]) -> Ran {
 }
 
 #[test]
-fn a_start_after_a_change_is_by_the_clocks_of_that_time() {
+fn start_after_clock_change_uses_the_new_local_time() {
     let session = evening("wait: done");
     let mut start = ahead(0);
     let ran = held_up::played(
@@ -54,7 +54,7 @@ fn a_start_after_a_change_is_by_the_clocks_of_that_time() {
 }
 
 #[test]
-fn a_start_that_clocks_skip_is_refused_with_the_nearest_times() {
+fn nonexistent_start_time_is_refused_with_the_nearest_times() {
     let change = ahead(3_600);
     let zone = zone(Clocks::GoForward, change);
     let at = time(change + TimeDelta::minutes(30));
@@ -73,7 +73,7 @@ fn a_start_that_clocks_skip_is_refused_with_the_nearest_times() {
 }
 
 #[test]
-fn a_start_that_clocks_show_twice_names_the_first_one() {
+fn ambiguous_start_time_uses_first_occurrence_and_names_both() {
     let change = ahead(3_600);
     let shown = change + TimeDelta::minutes(30);
     let session = evening("wait: done");
@@ -91,7 +91,7 @@ fn a_start_that_clocks_show_twice_names_the_first_one() {
 }
 
 #[test]
-fn a_start_tomorrow_is_told_with_its_date() {
+fn start_tomorrow_is_reported_with_its_date() {
     // In a time zone where it is noon, a minute ago is today.
     let passed = ahead(-60);
     let west = i64::from(passed.hour()) - 12;

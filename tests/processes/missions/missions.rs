@@ -60,7 +60,7 @@ fn finished(mut child: Process) -> Ran {
 }
 
 #[test]
-fn acts_follow_each_other_and_each_is_reported() {
+fn acts_play_in_sequence_and_each_is_reported() {
     let session = evening("wait: done");
     let ran = session.run(&["run", "evening.yaml", "--format", "json"]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
@@ -73,7 +73,7 @@ fn acts_follow_each_other_and_each_is_reported() {
 }
 
 #[test]
-fn a_device_with_room_for_two_scripts_plays_two_acts_without_a_gap() {
+fn device_with_two_script_slots_plays_two_acts_without_gap() {
     let session = evening("wait: done");
     let arm =
         stage::session::ARM.replace("interpolation: linear", "interpolation: linear\n    script_queue: 2");
@@ -88,7 +88,7 @@ fn a_device_with_room_for_two_scripts_plays_two_acts_without_a_gap() {
 }
 
 #[test]
-fn the_operator_lets_an_act_begin_from_another_terminal() {
+fn operator_starts_an_act_from_another_terminal() {
     let session = evening("wait: operator");
     let child =
         start(&session, &["run", "evening.yaml", "--format", "text"], "`finale` waits for the operator's go");
@@ -100,7 +100,7 @@ fn the_operator_lets_an_act_begin_from_another_terminal() {
 }
 
 #[test]
-fn a_mission_is_stopped_from_another_terminal() {
+fn mission_is_stopped_from_another_terminal() {
     let session = evening("wait: operator");
     let child = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
     session.run(&["stop"]).says(0, &["left: stop confirmed", "right: stop confirmed"]);
@@ -108,7 +108,7 @@ fn a_mission_is_stopped_from_another_terminal() {
 }
 
 #[test]
-fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
+fn rehearsal_runs_at_lower_speed_with_fewer_robots_from_a_later_act() {
     let session = evening("wait: operator");
     let args = [
         "dry-run",
@@ -134,7 +134,7 @@ fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
 }
 
 #[test]
-fn at_another_speed_limits_are_checked_again() {
+fn limits_are_checked_again_at_changed_speed() {
     let session = evening("wait: done");
     session.file(
         "fleet.yaml",
@@ -147,7 +147,7 @@ fn at_another_speed_limits_are_checked_again() {
 }
 
 #[test]
-fn preflight_shows_every_robot_and_what_is_wrong() {
+fn preflight_shows_every_robot_and_its_problems() {
     let session = evening("wait: done");
     let arm = format!(
         "{}  - id: battery\n    name: battery\n    available_control_types:\n      sensor: {{min_value: 0, max_value: 100}}\n",
@@ -176,7 +176,7 @@ fn preflight_shows_every_robot_and_what_is_wrong() {
 }
 
 #[test]
-fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
+fn second_mission_is_refused_and_names_the_robots_in_use() {
     let session = evening("wait: operator");
     let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
@@ -228,7 +228,7 @@ cues:
 ";
 
 #[test]
-fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
+fn mission_with_killed_scheduler_is_resumed_and_completed() {
     let session = Session::new();
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
@@ -241,7 +241,7 @@ fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
 }
 
 #[test]
-fn a_mission_whose_scheduler_was_killed_is_stopped() {
+fn mission_with_killed_scheduler_is_stopped() {
     let session = Session::new();
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
@@ -255,7 +255,7 @@ fn a_mission_whose_scheduler_was_killed_is_stopped() {
 }
 
 #[test]
-fn a_recording_is_an_mcap_file_with_everything_that_was_said() {
+fn recording_is_an_mcap_file_with_all_messages() {
     let session = evening("wait: done");
     session.run(&["run", "evening.yaml", "--record", "evening.mcap"]).says(0, &["done"]);
     let bytes = std::fs::read(session.path("evening.mcap")).unwrap();
@@ -279,7 +279,7 @@ fn a_recording_is_an_mcap_file_with_everything_that_was_said() {
 }
 
 #[test]
-fn every_kind_of_report_keeps_to_its_schema() {
+fn every_kind_of_report_conforms_to_its_schema() {
     let session = evening("wait: operator");
     let schema = session.run(&["schema", "report"]).json();
     let validator = jsonschema::validator_for(&schema).unwrap();
@@ -330,7 +330,7 @@ fn robot_of(session: &Session, init: &str, id: &str, port: u16) -> Process {
 }
 
 #[test]
-fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
+fn late_joiner_is_refused_or_joins_at_next_act() {
     let session = evening("wait: operator");
     let (left, right) = ports(&session);
     let _left = robot(&session, "left", left);
@@ -345,7 +345,7 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
 }
 
 #[test]
-fn a_late_joiner_that_would_jump_is_left_out_and_does_not_move() {
+fn late_joiner_that_would_jump_is_left_out_and_does_not_move() {
     let session = evening("wait: operator");
     let (left, right) = ports(&session);
     let _left = robot(&session, "left", left);
@@ -370,7 +370,7 @@ fn joins_late(session: &Session, init: &str, port: u16) -> Ran {
 }
 
 #[test]
-fn a_robot_that_never_comes_is_named_and_the_mission_is_done_without_it() {
+fn robot_that_never_joins_is_named_and_mission_is_done_without_it() {
     let session = evening("wait: done");
     let (left, _) = ports(&session);
     let _left = robot(&session, "left", left);
@@ -379,7 +379,7 @@ fn a_robot_that_never_comes_is_named_and_the_mission_is_done_without_it() {
 }
 
 #[test]
-fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
+fn link_lost_during_mission_is_reconnected_and_mission_continues() {
     let session = Session::new();
     session.file("long.yaml", LONG);
     let (left, right) = ports(&session);
@@ -401,7 +401,7 @@ fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
 }
 
 #[test]
-fn two_missions_play_at_once_on_robots_of_their_own() {
+fn two_missions_play_simultaneously_on_separate_robots() {
     let session = evening("wait: operator");
     let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml", "--only", "left"], "waits for the operator's go");
@@ -414,7 +414,7 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
 }
 
 #[test]
-fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one() {
+fn past_or_too_early_start_is_refused_with_earliest_safe_start() {
     let session = evening("wait: done");
     let refused = ["not sent: the start at ", "has passed", "the earliest safe start was"];
     session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);

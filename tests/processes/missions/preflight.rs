@@ -36,7 +36,7 @@ fn verdict(ran: &Ran, robot: &str, check: &str) -> Value {
 }
 
 #[test]
-fn preflight_shows_where_devices_stand_and_what_every_sensor_reads() {
+fn preflight_shows_device_positions_and_sensor_readings() {
     let session = session("address: sim, require: {battery: above 30}", SIM);
     let ran = session.run(&["preflight", "test.yaml"]);
     ran.says(1, &["battery", "50 %", "above 30 %", "shoulder", "0 deg", "10 ±1 deg", "range", "5 m"]);
@@ -51,7 +51,7 @@ fn preflight_shows_where_devices_stand_and_what_every_sensor_reads() {
 }
 
 #[test]
-fn no_line_of_the_table_is_wider_than_a_terminal() {
+fn preflight_table_fits_the_terminal_width() {
     let session = session(SIM, SIM);
     let ran = session.run(&["preflight", "test.yaml"]);
     let table = ran.out();
@@ -62,7 +62,7 @@ fn no_line_of_the_table_is_wider_than_a_terminal() {
 }
 
 #[test]
-fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_no_line_says_that_clocks_agree() {
+fn clock_off_by_a_minute_is_shown_as_failure_and_never_as_agreeing() {
     let session = session(SIM, A_MINUTE_AHEAD);
     let mut command = session.command(&["preflight", "test.yaml"]);
     let coloured = Ran(command.env("CLICOLOR_FORCE", "1").output().unwrap());
@@ -75,7 +75,7 @@ fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_no_line_says_that_clocks
 }
 
 #[test]
-fn a_ping_fails_for_a_clock_that_is_off_and_says_what_would_do() {
+fn ping_fails_for_a_clock_beyond_the_tolerance_unless_measured() {
     let off = session(SIM, A_MINUTE_AHEAD);
     off.run(&["fleet", "ping"]).says(1, &["its clock is off by more than 10 ms", "60 s"]);
     off.run(&["fleet", "ping", "--tolerance", "2m"]).says(0, &["60 s"]);
@@ -88,7 +88,7 @@ fn a_ping_fails_for_a_clock_that_is_off_and_says_what_would_do() {
 }
 
 #[test]
-fn hardware_that_is_away_stands_under_hardware() {
+fn unavailable_hardware_is_reported_under_hardware() {
     let session = session(SIM, "address: 'program:exit 1'");
     let ran = session.run(&["preflight", "test.yaml", "--start-programs", "--format", "json"]);
     assert_eq!(ran.code(), 1, "{}", ran.text());

@@ -134,7 +134,7 @@ fn await_line(child: &mut Child, text: &str) {
 }
 
 #[test]
-fn six_processes_with_clocks_of_their_own_start_and_report() {
+fn six_processes_with_separate_clocks_start_and_report() {
     let fleet = Fleet::start(&[]);
     let ran = fleet.session.run(&["run", "test.yaml", "--format", "json"]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
@@ -156,12 +156,12 @@ fn check_none_starts(third: &[&str], says: &[&str]) {
 }
 
 #[test]
-fn if_one_of_six_refuses_none_starts_and_the_report_names_it() {
+fn no_robot_starts_if_one_refuses_and_report_names_it() {
     check_none_starts(&["--fault", "refuse"], &["test: not started", "r3: device `shoulder`: busy"]);
 }
 
 #[test]
-fn if_one_of_six_is_silent_none_starts_and_the_report_names_it() {
+fn no_robot_starts_if_one_is_silent_and_report_names_it() {
     check_none_starts(
         &["--fault", "silent"],
         &["test: not started", "r3: silent: no acceptance by `shoulder`"],
@@ -169,12 +169,12 @@ fn if_one_of_six_is_silent_none_starts_and_the_report_names_it() {
 }
 
 #[test]
-fn if_one_of_six_disconnects_between_acceptance_and_decision_none_starts() {
+fn no_robot_starts_if_one_disconnects_between_acceptance_and_decision() {
     check_none_starts(&["--fault", "disconnect"], &["test: not started", "r3: link down"]);
 }
 
 #[test]
-fn if_one_of_six_is_not_there_none_starts_and_the_report_names_it() {
+fn no_robot_starts_if_one_is_missing_and_report_names_it() {
     let mut fleet = Fleet::start(&[]);
     fleet.robots[3].kill().unwrap();
     fleet.robots[3].wait().unwrap();
@@ -186,7 +186,7 @@ fn if_one_of_six_is_not_there_none_starts_and_the_report_names_it() {
 }
 
 #[test]
-fn if_the_scheduler_is_killed_before_the_commitment_none_starts() {
+fn no_robot_starts_if_scheduler_is_killed_before_commitment() {
     let fleet = Fleet::start(&[]);
     let mut scheduler = fleet.run_in_background(&["--lead", "5s"]);
     await_line(&mut scheduler, "all robots have accepted");
@@ -209,7 +209,7 @@ fn ctrl_c_stops_every_robot() {
 }
 
 #[test]
-fn a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running() {
+fn second_ctrl_c_exits_immediately_and_lists_unconfirmed_robots() {
     let fleet = Fleet::start(&[]);
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
     let mut scheduler = fleet.playing();
@@ -225,7 +225,7 @@ fn a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running() {
 }
 
 #[test]
-fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends() {
+fn moving_robots_stop_at_lease_end_after_scheduler_is_killed() {
     let fleet = Fleet::start(&[]);
     fleet.session.file(
         "test.yaml",
@@ -240,7 +240,7 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
 }
 
 #[test]
-fn a_whole_fleet_in_one_process_is_pinged_and_started_without_a_handshake() {
+fn fleet_in_one_process_is_pinged_and_started_without_handshake() {
     let session = Session::new();
     let yaml = |handshake: &str, ports: &[u16]| {
         let robot = |(id, port): (usize, &u16)| {

@@ -173,24 +173,24 @@ fn values(act: usize, scripts: u32) -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn every_chain_plays_to_its_end_on_devices_that_hold_two_scripts() {
+fn every_chain_completes_on_devices_that_hold_two_scripts() {
     Matrix::of(2, Reports::Told, all_chains()).plays_to_the_end();
 }
 
 #[test]
-fn every_chain_plays_to_its_end_on_devices_that_hold_three_scripts() {
+fn every_chain_completes_on_devices_that_hold_three_scripts() {
     Matrix::of(3, Reports::Told, all_chains()).plays_to_the_end();
 }
 
 #[test]
-fn every_chain_plays_to_its_end_on_devices_that_hold_four_scripts() {
+fn every_chain_completes_on_devices_that_hold_four_scripts() {
     Matrix::of(4, Reports::Told, all_chains()).plays_to_the_end();
 }
 
 /// If all devices have the same chains, the next act is sent as soon as the devices have room. It need not wait for the slowest of many
 /// different devices.
 #[test]
-fn a_fleet_whose_devices_all_have_the_same_chains_plays_to_its_end() {
+fn fleet_with_identical_chains_on_all_devices_plays_to_its_end() {
     let alone: [(u32, Chains); 8] = [
         (2, [2, 2, 2]),
         (2, [1, 2, 1]),
@@ -211,12 +211,12 @@ fn a_fleet_whose_devices_all_have_the_same_chains_plays_to_its_end() {
 }
 
 #[test]
-fn a_dry_run_plays_every_chain_as_a_real_run_does() {
+fn dry_run_plays_every_chain_like_a_real_run() {
     (2..=4).for_each(|queue| Matrix::of(queue, Reports::Told, all_chains()).is_rehearsed());
 }
 
 #[test]
-fn a_dry_run_plays_the_same_chains_on_all_devices_as_a_real_run_does() {
+fn dry_run_plays_identical_chains_on_all_devices_like_a_real_run() {
     for queue in 2..=4 {
         all_chains()
             .into_iter()
@@ -225,7 +225,7 @@ fn a_dry_run_plays_the_same_chains_on_all_devices_as_a_real_run_does() {
 }
 
 #[test]
-fn robots_that_report_nothing_are_sent_every_script_and_are_not_said_to_be_done_unless_they_are() {
+fn robots_without_reports_receive_all_scripts_and_no_false_done_outcome() {
     let chains = vec![[3, 3, 3], [1, 2, 4], [4, 1, 3], [2, 2, 2]];
     let matrix = Matrix::of(2, Reports::Untold, chains);
     let stage = matrix.stage();
@@ -238,7 +238,7 @@ fn robots_that_report_nothing_are_sent_every_script_and_are_not_said_to_be_done_
 }
 
 #[test]
-fn robots_that_report_nothing_and_miss_a_value_are_not_done() {
+fn mission_is_not_done_if_robots_without_reports_miss_a_value() {
     let matrix = Matrix::of(2, Reports::Untold, vec![[4, 4, 4]]);
     let mut stage = matrix.stage();
     let running = stage.begin(&["run", "refills.yaml", "--format", "json"], [0], 6);
@@ -249,7 +249,7 @@ fn robots_that_report_nothing_and_miss_a_value_are_not_done() {
 }
 
 #[test]
-fn a_link_that_is_too_slow_for_the_scripts_of_a_chain_is_refused_before_anything_moves() {
+fn link_too_slow_for_chained_scripts_is_refused_before_any_movement() {
     let chain = Play { steps: 12, every_ms: 260, script: 4, tolerance: "3s", ..CHAIN };
     let stage = chain.stage(&[Via::Proxy, Via::Direct]);
     stage.robots[0].link.as_ref().unwrap().delay(Duration::from_millis(600));

@@ -50,7 +50,7 @@ fn only_mission(stage: &Stage) -> String {
 const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 
 #[test]
-fn a_stop_leaves_every_robot_where_it_is_and_says_so_and_one_that_says_home_does_not() {
+fn stop_leaves_robots_in_place_and_stop_home_moves_them_home() {
     let stage = stage();
     let mission = playing(&stage);
     let stopped = stage.run(&["stop"]);
@@ -66,7 +66,7 @@ fn a_stop_leaves_every_robot_where_it_is_and_says_so_and_one_that_says_home_does
 }
 
 #[test]
-fn a_stop_leaves_the_robots_of_a_scheduler_that_was_killed_where_they_are() {
+fn stop_after_scheduler_kill_leaves_robots_in_place() {
     let stage = stage();
     playing(&stage).process.kill();
     let stopped = stage.run(&["stop"]);
@@ -76,7 +76,7 @@ fn a_stop_leaves_the_robots_of_a_scheduler_that_was_killed_where_they_are() {
 }
 
 #[test]
-fn the_key_s_stops() {
+fn s_key_stops_the_mission() {
     let stage = stage();
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
@@ -92,7 +92,7 @@ fn the_key_s_stops() {
 }
 
 #[test]
-fn the_key_for_home_moves_robots_home_that_have_stopped_already_once_all_have_confirmed() {
+fn home_key_moves_stopped_robots_home_once_all_have_confirmed() {
     let mut stage = stage();
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
@@ -130,7 +130,7 @@ fn is_stopped_past_the_scheduler(stage: &Stage, mission: Running) {
 }
 
 #[test]
-fn a_scheduler_that_stood_still_while_its_robots_were_stopped_moves_none_of_them() {
+fn stalled_scheduler_moves_no_robot_stopped_in_the_meantime() {
     let stage = stage();
     let mission = playing(&stage);
     mission.process.signal(Signal::STOP);
@@ -138,7 +138,7 @@ fn a_scheduler_that_stood_still_while_its_robots_were_stopped_moves_none_of_them
 }
 
 #[test]
-fn a_scheduler_whose_socket_is_gone_moves_no_robot_that_is_stopped() {
+fn scheduler_without_socket_moves_no_stopped_robot() {
     let stage = stage();
     let mission = playing(&stage);
     std::fs::remove_file(stage.path("state").join(only_mission(&stage)).join("control")).unwrap();
@@ -146,7 +146,7 @@ fn a_scheduler_whose_socket_is_gone_moves_no_robot_that_is_stopped() {
 }
 
 #[test]
-fn a_lost_terminal_moves_no_robot_that_is_stopped() {
+fn lost_terminal_moves_no_stopped_robot() {
     let stage = stage();
     let mission = playing(&stage);
     stage.robots[1].freeze();
@@ -163,7 +163,7 @@ fn a_lost_terminal_moves_no_robot_that_is_stopped() {
 }
 
 #[test]
-fn a_resumed_mission_that_was_stopped_moves_no_robot() {
+fn resuming_a_stopped_mission_moves_no_robot() {
     let stage = stage();
     let mut mission = playing(&stage);
     stage.robots[1].freeze();
@@ -209,7 +209,7 @@ for line in sys.stdin:
 ";
 
 #[test]
-fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_file() {
+fn scheduler_driven_hardware_goes_home_within_fleet_file_limits() {
     let mut stage = Stage::new();
     let arm = "id: arm\napi_version: '1'\nreports: true\ndevices:\n  - {id: d, name: d, default_value: 0, interpolation: linear, available_control_types: {position: {min_value: 0, max_value: 600, granularity: 1}, speed: {min_value: -1000, max_value: 1000, granularity: 1}, script: {min_value: -1000, max_value: 1000, granularity: 1, max_number_of_steps: 20}}}\n";
     stage.file("arm.yaml", arm).file("drive.py", LOGGING);
@@ -247,7 +247,7 @@ fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_fil
 }
 
 #[test]
-fn an_act_that_follows_a_failure_begins_from_where_the_stop_has_left_the_robots() {
+fn act_after_a_failure_begins_where_the_stop_left_the_robots() {
     let mut stage = Stage::new();
     let device = "{id: NAME, name: NAME, default_value: 0, interpolation: linear, available_control_types: {position: {min_value: 0, max_value: 600, granularity: 1}, speed: {min_value: -100, max_value: 100, granularity: 1}, script: {min_value: 0, max_value: 600, granularity: 1, max_number_of_steps: 100}}}";
     let [d, e] = ["d", "e"].map(|name| device.replace("NAME", name));
@@ -280,7 +280,7 @@ fn an_act_that_follows_a_failure_begins_from_where_the_stop_has_left_the_robots(
 }
 
 #[test]
-fn hardware_of_the_scheduler_itself_stays_where_it_is_when_the_scheduler_ends() {
+fn scheduler_driven_hardware_stays_in_place_when_scheduler_ends() {
     let stage = driven();
     let mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
     await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
@@ -291,7 +291,7 @@ fn hardware_of_the_scheduler_itself_stays_where_it_is_when_the_scheduler_ends() 
 }
 
 #[test]
-fn hardware_that_a_killed_scheduler_drove_is_not_said_to_have_stopped_and_does_not_move() {
+fn hardware_of_killed_scheduler_is_not_reported_stopped_and_does_not_move() {
     let stage = driven();
     let mut mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
     await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
@@ -303,7 +303,7 @@ fn hardware_that_a_killed_scheduler_drove_is_not_said_to_have_stopped_and_does_n
 }
 
 #[test]
-fn a_terminal_without_a_display_takes_words_and_does_not_take_every_line_for_a_go() {
+fn plain_terminal_accepts_commands_but_not_every_line_as_go() {
     let stage = stage();
     let waiting = "scenario: wait\nstart_tolerance: 1s\nacts:\n  - {act: one, wait: operator, cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 20}, {at: 30s, to: 21}]}}]}\n";
     stage.file("wait.yaml", waiting);

@@ -43,7 +43,7 @@ fn journals(session: &Session) -> String {
 const OPENING_ENDED: &str = r#""record":"act_ended""#;
 
 #[test]
-fn a_mission_without_an_act_under_way_is_withdrawn_as_failed() {
+fn resumed_mission_without_active_act_ends_as_failed() {
     let session = evening("wait: operator");
     let _sim = on_tcp(&session);
     killed_after(&session, session.command(&["run", "evening.yaml"]), OPENING_ENDED);
@@ -54,7 +54,7 @@ fn a_mission_without_an_act_under_way_is_withdrawn_as_failed() {
 }
 
 #[test]
-fn a_mission_that_an_operator_stops_after_a_crash_was_stopped() {
+fn mission_stopped_by_operator_after_a_crash_is_recorded_as_stopped() {
     let session = evening("wait: operator");
     let _sim = on_tcp(&session);
     killed_after(&session, session.command(&["run", "evening.yaml"]), OPENING_ENDED);
@@ -77,7 +77,7 @@ fn with_a_long_finale() -> (Session, Process) {
 }
 
 #[test]
-fn the_report_of_a_resumed_mission_counts_the_act_that_ended_before_the_crash() {
+fn resumed_mission_report_counts_acts_completed_before_the_crash() {
     let (session, _sim) = with_a_long_finale();
     killed_in_act(&session, session.command(&["run", "evening.yaml"]), 1);
     let resumed = session.run(&["resume", "--format", "json"]);
@@ -90,7 +90,7 @@ fn the_report_of_a_resumed_mission_counts_the_act_that_ended_before_the_crash() 
 }
 
 #[test]
-fn a_plan_of_which_another_act_was_edited_is_not_resumed() {
+fn mission_is_not_resumed_if_another_act_was_edited() {
     let (session, _sim) = with_a_long_finale();
     let text = std::fs::read_to_string(session.path("evening.yaml")).unwrap();
     let text = text.replace("400ms", "4s");
@@ -106,7 +106,7 @@ fn a_plan_of_which_another_act_was_edited_is_not_resumed() {
 }
 
 #[test]
-fn a_robot_that_was_left_out_before_the_crash_is_reported_with_its_failure_and_its_steps() {
+fn robot_left_out_before_crash_is_reported_with_failure_and_steps() {
     let session = Session::new();
     let keyframes = (0..16).map(|step| format!("{{at: {}ms, to: {step}}}", step * 500)).collect::<Vec<_>>();
     let scenario = "scenario: without\nstart_tolerance: 1s\non_failure: without\nstop_condition: {running: 1s}\ncues:\n  - {robots: arms, at: 0s, tracks: {shoulder: [";

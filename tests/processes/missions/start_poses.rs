@@ -46,7 +46,7 @@ fn left_at_80(stage: &Stage) -> Vec<usize> {
 }
 
 #[test]
-fn a_start_at_which_a_device_would_jump_is_refused_and_moves_nothing() {
+fn start_with_a_device_jump_is_refused_without_movement() {
     let stage = stage();
     let before = left_at_80(&stage);
     for command in ["preflight", "run"] {
@@ -62,7 +62,7 @@ fn a_start_at_which_a_device_would_jump_is_refused_and_moves_nothing() {
 }
 
 #[test]
-fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_speed() {
+fn approach_moves_devices_to_first_positions_within_speed_limits() {
     let stage = stage();
     let before = left_at_80(&stage);
     let too_fast = stage.run(&["run", "back.yaml", "--approach", "1s"]);
@@ -94,7 +94,7 @@ fn is_ignored(signal: Signal) -> bool {
 }
 
 #[test]
-fn a_signal_ends_the_command_while_it_asks_the_robots_and_nothing_has_moved() {
+fn signal_ends_the_command_during_robot_queries_without_movement() {
     let stage = stage_with(Via::Proxy);
     let before = left_at_80(&stage);
     // The second robot never answers, and the first one is asked at the same time.
@@ -115,7 +115,7 @@ fn a_signal_ends_the_command_while_it_asks_the_robots_and_nothing_has_moved() {
 }
 
 #[test]
-fn a_mission_that_was_killed_while_it_approached_goes_on_after_resume() {
+fn mission_killed_during_approach_continues_after_resume() {
     let stage = stage();
     left_at_80(&stage);
     let mut running = stage.start(&["run", "back.yaml", "--approach", "3s"]);
@@ -128,7 +128,7 @@ fn a_mission_that_was_killed_while_it_approached_goes_on_after_resume() {
 }
 
 #[test]
-fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
+fn devices_move_home_within_speed_limits_at_the_end_of_a_show() {
     let stage = stage();
     let show = std::fs::read_to_string(stage.path("out.yaml")).unwrap();
     stage.file("home.yaml", show.replace("cues:", "at_end: home\ncues:"));
@@ -171,7 +171,7 @@ fn approached_and_started_at(stage: &Stage, before: &[usize], start: i64) {
 }
 
 #[test]
-fn an_approach_is_played_at_once_and_the_show_starts_at_its_time() {
+fn approach_plays_immediately_and_show_starts_on_time() {
     let stage = stage();
     let before = left_at_80(&stage);
     let (args, _) = in_seconds(2);
@@ -188,7 +188,7 @@ fn an_approach_is_played_at_once_and_the_show_starts_at_its_time() {
 }
 
 #[test]
-fn a_mission_that_was_killed_while_it_approached_starts_its_show_at_the_fixed_time() {
+fn mission_killed_during_approach_starts_its_show_at_the_fixed_time() {
     let stage = stage();
     let before = left_at_80(&stage);
     let (args, start) = in_seconds(20);

@@ -21,17 +21,17 @@ fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
 }
 
 #[test]
-fn the_end_of_a_script_confirms_no_stop_that_was_sent_before() {
+fn script_end_does_not_confirm_a_stop_sent_earlier() {
     check_that_a_late_ok_confirms_nothing(&[]);
 }
 
 #[test]
-fn the_end_of_a_script_confirms_no_stop_where_the_robot_names_no_requests() {
+fn script_end_does_not_confirm_stop_if_responses_lack_request_ids() {
     check_that_a_late_ok_confirms_nothing(&["request_id", "content_hash", "inquiry"]);
 }
 
 #[test]
-fn robots_that_stop_are_not_said_to_be_in_their_default_state() {
+fn stopped_robots_are_not_reported_in_their_default_state() {
     let mut stage = Play { on_failure: "stop", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     let running = stage.begin(&["run", "play.yaml", "--patience", "1s"], [1], 3);
     stage.robots[1].kill();
@@ -45,7 +45,7 @@ fn robots_that_stop_are_not_said_to_be_in_their_default_state() {
 }
 
 #[test]
-fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
+fn starts_measured_outside_tolerance_are_reported() {
     let stage = Play { tolerance: "15ms", ..SHORT }.stage(&[Via::Direct, Via::Direct]);
     let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
     let start = running.start();
@@ -65,7 +65,7 @@ fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
 }
 
 #[test]
-fn steps_that_were_later_than_is_tolerated_are_named_and_are_no_success() {
+fn late_steps_beyond_tolerance_are_named_and_prevent_success() {
     let stage = Play { steps: 20, tolerance: "100ms", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     let running = stage.begin(&["run", "play.yaml", "--patience", "2s"], 0..2, 3);
     stage.robots[1].freeze();
@@ -94,13 +94,13 @@ fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
 }
 
 #[test]
-fn no_end_of_a_lease_is_printed_for_robots_without_a_lease() {
+fn lease_end_is_not_printed_for_robots_without_a_lease() {
     let stage = Play { running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     check_that_no_lease_is_printed(&stage, 3);
 }
 
 #[test]
-fn no_end_of_a_lease_is_printed_for_cues_without_a_lease() {
+fn lease_end_is_not_printed_for_cues_without_a_lease() {
     let stage = LONG.stage(&[Via::Direct, Via::Direct]);
     let cue = |at: u32, to: u32| {
         format!(

@@ -37,19 +37,19 @@ fn played_late(meanwhile: impl FnOnce(&mut Running)) -> (Stage, Running) {
 }
 
 #[test]
-fn an_act_that_its_scheduler_withdraws_over_a_slow_link_moves_no_robot() {
+fn act_withdrawn_over_a_slow_link_moves_no_robot() {
     let (_stage, running) = played_late(|_| {});
     let ended = running.ended();
     assert_eq!(ended.report()["outcome"], "not_started", "{ended}");
 }
 
 #[test]
-fn an_act_whose_scheduler_dies_while_its_requests_are_under_way_moves_no_robot() {
+fn act_moves_no_robot_if_scheduler_dies_while_requests_are_in_transit() {
     played_late(|running| running.process.kill());
 }
 
 #[test]
-fn an_act_whose_scheduler_stalls_while_its_requests_are_under_way_moves_no_robot() {
+fn act_moves_no_robot_if_scheduler_stalls_while_requests_are_in_transit() {
     let (_stage, running) = played_late(|running| running.process.signal(Signal::STOP));
     running.process.signal(Signal::CONT);
     // The mission prepares the act again, but the slow link does not permit it.

@@ -188,14 +188,14 @@ fn next_to(attack: Attack, stage: &Stage) -> (Ended, u64) {
 }
 
 #[test]
-fn strangers_that_attack_a_robot_delay_no_mission_and_take_no_memory() {
+fn attacks_on_a_robot_delay_no_mission_and_use_bounded_memory() {
     for attack in Attack::ALL {
         is_played_next_to(attack, || PLAY.stage(&[Via::Direct; 6]));
     }
 }
 
 #[test]
-fn strangers_that_attack_a_robot_with_keys_delay_no_mission_and_take_no_memory() {
+fn attacks_on_a_robot_with_keys_delay_no_mission_and_use_bounded_memory() {
     for attack in [Attack::Unread, Attack::Noise, Attack::Drip] {
         is_played_next_to(attack, || PLAY.stage_with_keys(&[Via::Direct; 6]));
     }

@@ -60,7 +60,7 @@ fn journal(site: &Site) -> String {
 }
 
 #[test]
-fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
+fn operators_issue_only_commands_their_roles_permit_and_are_named() {
     let (site, mut playing) = anna_waits();
     let session = &site.session;
     go(session, "keys/operators/bert.pem")
@@ -102,7 +102,7 @@ fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
 }
 
 #[test]
-fn the_operator_of_the_mission_and_a_terminal_without_a_key_are_not_kept_from_stopping_it() {
+fn mission_operator_and_keyless_terminal_may_stop_the_mission() {
     for identity in [None, Some("keys/operators/anna.pem"), Some("keys/operators/nobody.pem")] {
         let (site, playing) = anna_waits();
         by(&site.session, identity, &["stop"]).says(0, &[]);

@@ -45,7 +45,7 @@ fn failures_of<'a>(report: &'a Value, robot: &str) -> Vec<&'a Value> {
 
 #[test]
 #[expect(clippy::print_stdout, reason = "prints its figures with --nocapture")]
-fn a_robot_that_floods_is_named_and_costs_neither_memory_nor_time() {
+fn flooding_robot_is_named_and_costs_neither_memory_nor_time() {
     // It accepts connections and sends nothing, so that the others must wait until patience ends.
     let mute = TcpListener::bind("127.0.0.1:0").unwrap();
     let mute = ("mute", mute.local_addr().map(|at| (mute, at.port())).unwrap());
@@ -74,7 +74,7 @@ fn a_robot_that_floods_is_named_and_costs_neither_memory_nor_time() {
 
 #[test]
 #[expect(clippy::print_stdout, reason = "prints its figures with --nocapture")]
-fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to_be_stopped() {
+fn robot_flooding_during_play_is_left_out_and_reconnected_only_to_stop() {
     let play = Play { steps: 30, on_failure: "without", ..SHORT };
     for flood in Flood::ALL {
         let raw = Raw::start("raw", Floods::AfterStarting(Duration::from_millis(500)), flood);
@@ -110,7 +110,7 @@ fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to
 }
 
 #[test]
-fn an_answer_to_a_question_that_was_never_asked_delays_nobody() {
+fn unrequested_responses_are_ignored_and_delay_no_other_robot() {
     let stage = SHORT.stage(&[Via::Proxy, Via::Direct]);
     stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
         for kind in ["availability_response", "inquiry_response"] {
@@ -152,7 +152,7 @@ fn keys(raw: &Raw) -> Vec<String> {
 }
 
 #[test]
-fn the_key_of_a_session_is_told_to_robots_and_shown_to_nobody() {
+fn session_key_is_sent_to_robots_but_never_shown() {
     let raw = Raw::start("raw", Floods::Never, Flood::Garbage);
     let stage = stage(&SHORT, 1, &[("raw", raw.port)]);
     let record = ["--record", "play.mcap"];

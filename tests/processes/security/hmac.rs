@@ -19,7 +19,7 @@ use stage::site::{LONG_SCRIPT, Site, listens, on_the_way};
 use stage::{Process, free_port};
 
 #[test]
-fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
+fn hmac_mission_plays_and_all_unauthorized_attempts_are_refused() {
     let site = Site::with("hmac");
     let fleet = |operator: &str| site.fleet(&site.addresses("hmac"), operator);
     site.run().says(0, &["test: done"]);
@@ -114,14 +114,14 @@ fn conforms(site: &Site, requirement: &str) {
 }
 
 #[test]
-fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_moves_nothing() {
+fn altered_repeated_or_reordered_data_ends_connection_and_moves_nothing() {
     let site = Site::with("hmac");
     site.session.file("test.yaml", LONG_SCRIPT);
     on_the_way(&site, Wire::Hmac, 1);
 }
 
 #[test]
-fn a_robot_without_a_secret_is_no_robot_with_one() {
+fn robot_without_a_secret_is_not_accepted_as_an_hmac_robot() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "operator", "anna", "--role", "drive"]).says(0, &[]);
@@ -145,7 +145,7 @@ fn a_robot_without_a_secret_is_no_robot_with_one() {
 }
 
 #[test]
-fn simulated_robots_of_a_fleet_have_their_secrets_too_and_passes_that_end_soon_are_told_of() {
+fn simulated_robots_have_secrets_and_expiring_passes_are_reported() {
     let session = Session::new();
     let port = free_port();
     session.file(
@@ -181,7 +181,7 @@ fn built(session: &Session, program: &str) -> PathBuf {
 }
 
 #[test]
-fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
+fn starter_robot_in_c_obeys_only_its_authorized_operators() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     for (name, roles) in [("anna", "observe,drive"), ("bert", "observe"), ("dora", "stop")] {
@@ -287,7 +287,7 @@ impl Spoken {
 }
 
 #[test]
-fn a_session_that_was_read_on_the_way_is_of_no_use_to_another_operator() {
+fn session_read_in_transit_cannot_be_used_by_another_operator() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     for operator in ["anna", "cleo"] {
@@ -342,7 +342,7 @@ fn bytes(object: &Value, key: &str) -> Vec<u8> {
 }
 
 #[test]
-fn the_vector_of_a_whole_connection_is_ours_byte_for_byte() {
+fn hmac_connection_matches_the_test_vector_byte_for_byte() {
     let vectors = vectors();
     let claim: Claim = text(&vectors, "claim").parse().unwrap();
     let (hello, answer) = (text(&vectors, "hello"), text(&vectors, "answer"));
@@ -384,7 +384,7 @@ fn the_vector_of_a_whole_connection_is_ours_byte_for_byte() {
 }
 
 #[test]
-fn the_vector_of_a_whole_connection_is_that_of_the_robot_in_c_too() {
+fn starter_robot_in_c_matches_the_hmac_test_vector() {
     let session = Session::new();
     let test = built(&session, "test");
     let vectors = root().join("tests/vectors/hmac.json");

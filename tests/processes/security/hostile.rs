@@ -73,7 +73,7 @@ fn check_refused(line: String, says: &str) {
 }
 
 #[test]
-fn no_robot_moves_when_one_describes_itself_beyond_the_limits() {
+fn no_robot_moves_if_one_description_exceeds_the_limits() {
     let device = |i: usize| format!(r#"{{"id":"d{i}","name":"","available_control_types":{{}}}}"#);
     let devices: Vec<_> = (0..32_001).map(device).collect();
     let block = format!(
@@ -133,7 +133,7 @@ fn unavailable(reason: &str) -> Session {
 }
 
 #[test]
-fn no_text_of_a_robot_is_obeyed_by_a_terminal() {
+fn no_control_sequences_in_robot_messages_reach_the_terminal() {
     let session = unavailable(EVIL);
     for args in [&["run", "both.yaml", "--log", "debug"][..], &["preflight", "both.yaml"], &["fleet", "ping"]]
     {
@@ -142,7 +142,7 @@ fn no_text_of_a_robot_is_obeyed_by_a_terminal() {
 }
 
 #[test]
-fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
+fn no_control_sequences_in_robot_descriptions_reach_the_terminal() {
     let device = serde_json::json!({"id": EVIL, "name": EVIL, "unit": EVIL, "available_control_types":
         {"position": {"min_value": 0, "max_value": 90, "granularity": 0.5}}});
     let block = serde_json::json!({"initialization_block":
@@ -177,7 +177,7 @@ fn evil_names() -> Session {
 }
 
 #[test]
-fn no_name_in_a_file_is_obeyed_by_a_terminal() {
+fn no_control_sequences_in_names_from_files_reach_the_terminal() {
     let session = evil_names();
     // It does not print a scenario's names if it finds nothing.
     check_harmless(&on_terminal(&session, &["check", "evil.yaml"]), "no errors");
@@ -195,7 +195,7 @@ fn no_name_in_a_file_is_obeyed_by_a_terminal() {
 }
 
 #[test]
-fn a_picture_with_control_characters_in_its_names_is_valid_xml() {
+fn picture_with_control_characters_in_names_is_valid_xml() {
     let session = evil_names();
     let ran = session.run(&["dry-run", "evil.yaml", "--picture", "evil.svg"]);
     let picture =

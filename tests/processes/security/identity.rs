@@ -44,7 +44,7 @@ fn has_another_robot(ended: &Ended, robot: &str, told: &str) {
 }
 
 #[test]
-fn with_two_addresses_swapped_neither_robot_moves() {
+fn robots_with_swapped_addresses_do_not_move() {
     let stage = swapped(&SHORT);
     for command in [&["preflight", "play.yaml"][..], &["run", "play.yaml"]] {
         let ended = stage.run(command);
@@ -60,14 +60,14 @@ fn with_two_addresses_swapped_neither_robot_moves() {
 }
 
 #[test]
-fn a_ping_shows_that_two_addresses_are_swapped() {
+fn ping_reports_two_swapped_addresses() {
     let stage = swapped(&SHORT);
     says(&stage.run(&["fleet", "ping"]), 1, &["its id is `r1`", "its id is `r0`"]);
     says(&stage.run(&["fleet", "show"]), 1, &["its id is `r1`"]);
 }
 
 #[test]
-fn a_robot_that_calls_itself_as_the_fleet_file_says_is_the_one_that_was_meant() {
+fn robot_with_the_id_from_the_fleet_file_is_accepted() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     addresses(&stage, &[(0, 1, ", robot_id: r1"), (1, 0, ", robot_id: r0")]);
     says(&stage.run(&["fleet", "ping"]), 0, &["yes"]);
@@ -77,7 +77,7 @@ fn a_robot_that_calls_itself_as_the_fleet_file_says_is_the_one_that_was_meant() 
 }
 
 #[test]
-fn without_a_handshake_no_robot_says_its_id_and_preflight_says_so() {
+fn preflight_reports_that_robot_ids_are_unknown_without_handshake() {
     let stage = swapped(&SHORT);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     stage.file("fleet.yaml", format!("handshake: skip\n{fleet}"));
@@ -87,7 +87,7 @@ fn without_a_handshake_no_robot_says_its_id_and_preflight_says_so() {
 
 /// While both robots play, the proxy of `r0` is redirected to another robot, `r2`.
 #[test]
-fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_predecessor_has_failed() {
+fn robot_taking_over_an_address_receives_nothing_and_predecessor_fails() {
     let stage = LONG.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();
     let fleet = format!(
@@ -109,7 +109,7 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
 }
 
 #[test]
-fn a_stop_that_a_process_of_the_same_name_confirms_is_unconfirmed_while_the_robot_may_move() {
+fn same_named_process_cannot_confirm_stop_while_the_robot_may_move() {
     let mut stage = Play { running: "3s", ..LONG }.stage(&[Via::Proxy]);
     let other = stage.robot_called("r0", "robot.yaml", Vec::new());
     let run = stage.begin(&["run", "play.yaml", "--patience", "1s", "--format", "json"], [0], 5);
@@ -125,7 +125,7 @@ fn a_stop_that_a_process_of_the_same_name_confirms_is_unconfirmed_while_the_robo
 }
 
 #[test]
-fn the_same_robot_that_comes_back_goes_on() {
+fn same_robot_continues_after_reconnecting() {
     let play = Play { steps: 30, running: "2s", ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
     let run = stage.begin(&["run", "play.yaml"], [0], 5);
@@ -146,7 +146,7 @@ fn left_behind() -> Stage {
 }
 
 #[test]
-fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
+fn another_robot_cannot_confirm_a_stop_after_a_crash() {
     let stage = left_behind();
     let since = stage.robots[0].log().len();
     let stopped = stage.run(&["stop", "--patience", "2s"]);
@@ -161,7 +161,7 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
 }
 
 #[test]
-fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is_not_confirmed_by_it() {
+fn stop_after_crash_reaches_unidentified_robot_but_remains_unconfirmed() {
     let play = Play { running: "none", steps: 200, every_ms: 200, ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
     let mut run = stage.begin(&["run", "play.yaml"], [0], 5);
@@ -182,7 +182,7 @@ fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is
 }
 
 #[test]
-fn a_robot_that_takes_over_an_address_is_sent_no_stop_by_the_mission_that_has_lost_its_own() {
+fn robot_taking_over_an_address_receives_no_stop_from_the_mission() {
     let stage = LONG.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
@@ -198,7 +198,7 @@ fn a_robot_that_takes_over_an_address_is_sent_no_stop_by_the_mission_that_has_lo
 }
 
 #[test]
-fn a_mission_is_not_resumed_on_another_robot() {
+fn mission_is_not_resumed_on_another_robot() {
     let stage = left_behind();
     let before = stage.robots[0].sets().len();
     let resumed = stage.run(&["resume", "--patience", "2s", "--format", "json"]);
@@ -208,7 +208,7 @@ fn a_mission_is_not_resumed_on_another_robot() {
 }
 
 #[test]
-fn two_robots_with_one_address_are_found_however_it_is_written() {
+fn duplicate_robot_addresses_are_reported_in_any_notation() {
     let session = Session::new();
     let fleet = |left: &str, right: &str| {
         let row = |id: &str, address: &str| format!("  {id}: {{init: arm.yaml, address: '{address}'}}\n");
@@ -244,7 +244,7 @@ fn two_robots_with_one_address_are_found_however_it_is_written() {
 }
 
 #[test]
-fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
+fn invalid_robot_id_is_reported_at_its_location() {
     let session = Session::new();
     session.file(
         "test.yaml",
@@ -262,7 +262,7 @@ fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
 }
 
 #[test]
-fn after_a_crash_a_robot_is_stopped_that_calls_itself_as_the_fleet_file_says() {
+fn robot_with_the_id_from_the_fleet_file_is_stopped_after_a_crash() {
     let stage = LONG.stage(&[Via::Direct, Via::Direct]);
     addresses(&stage, &[(0, 1, ", robot_id: r1"), (1, 0, ", robot_id: r0")]);
     let mut run = stage.begin(&["run", "play.yaml"], [0], 5);

@@ -13,7 +13,7 @@ use super::seize::anna_plays;
 const ENDED_WITHIN: Duration = Duration::from_secs(20);
 
 #[test]
-fn a_mission_whose_operator_is_revoked_ends_and_its_robots_are_free() {
+fn mission_of_revoked_operator_ends_and_its_robots_are_free() {
     for scheme in ["tls", "hmac"] {
         let (site, mut playing) = anna_plays(scheme);
         site.session.run(&["keys", "revoke", "--operator", "anna"]).says(0, &["revoked 1"]);
@@ -42,7 +42,7 @@ fn a_mission_whose_operator_is_revoked_ends_and_its_robots_are_free() {
 
 /// A robot that obeyed such a list would refuse every operator, and also every stop.
 #[test]
-fn a_list_of_another_authority_shuts_nobody_out() {
+fn revocation_list_of_another_authority_locks_nobody_out() {
     let (site, mut playing) = anna_plays("tls");
     let session = &site.session;
     session.run(&["keys", "init", "--keys", "others"]).says(0, &[]);
@@ -57,7 +57,7 @@ fn a_list_of_another_authority_shuts_nobody_out() {
 }
 
 #[test]
-fn a_list_is_sent_to_all_robots_of_a_fleet_and_each_states_which_one_it_uses() {
+fn revocation_list_is_sent_to_all_robots_and_each_states_its_version() {
     for scheme in ["tls", "hmac"] {
         let site = Site::with(scheme);
         let session = &site.session;
@@ -100,7 +100,7 @@ fn a_list_is_sent_to_all_robots_of_a_fleet_and_each_states_which_one_it_uses() {
 }
 
 #[test]
-fn a_robot_without_a_list_or_that_cannot_store_one_is_reported() {
+fn robots_without_or_unable_to_store_a_revocation_list_are_reported() {
     let site = Site::new();
     let session = &site.session;
     let none = session.run(&["keys", "push", "--keys", "others"]);
@@ -124,7 +124,7 @@ fn a_robot_without_a_list_or_that_cannot_store_one_is_reported() {
 }
 
 #[test]
-fn a_key_is_not_revoked_if_the_named_fleet_cannot_be_read() {
+fn key_is_not_revoked_if_named_fleet_cannot_be_read() {
     let site = Site::new();
     let session = &site.session;
     let revoke = |fleet: &str| session.run(&["keys", "revoke", "--operator", "cleo", "--fleet", fleet]);
@@ -153,7 +153,7 @@ fn a_key_is_not_revoked_if_the_named_fleet_cannot_be_read() {
 }
 
 #[test]
-fn a_robot_that_the_authority_does_not_know_does_not_keep_the_list_from_the_others() {
+fn robot_unknown_to_the_authority_does_not_block_list_for_others() {
     let site = Site::with("hmac");
     let session = &site.session;
     std::fs::remove_file(session.path("keys/secrets/r1.secret")).unwrap();
@@ -169,7 +169,7 @@ fn a_robot_that_the_authority_does_not_know_does_not_keep_the_list_from_the_othe
 }
 
 #[test]
-fn a_mission_that_waits_for_the_operator_ends_when_its_key_is_revoked() {
+fn mission_waiting_for_its_operator_ends_when_the_key_is_revoked() {
     let site = Site::new();
     let waiting = "scenario: waiting\nstart_tolerance: 1s\nacts:\n  - act: one\n    wait: operator\n    cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
     site.session.file("waiting.yaml", waiting);

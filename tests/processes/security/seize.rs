@@ -49,12 +49,12 @@ fn said(site: &Site, name: &str) -> String {
 }
 
 #[test]
-fn who_may_seize_takes_robots_from_a_mission_and_others_do_not() {
+fn only_operators_with_the_seize_role_seize_robots_from_a_mission() {
     robots_are_taken("tls");
 }
 
 #[test]
-fn robots_with_a_secret_are_taken_by_who_may_seize_too() {
+fn operator_with_seize_role_seizes_robots_with_a_secret() {
     robots_are_taken("hmac");
 }
 
@@ -126,7 +126,7 @@ fn robots_are_taken(scheme: &'static str) {
 }
 
 #[test]
-fn where_nothing_is_proven_no_robot_is_seized() {
+fn robots_are_not_seized_without_authentication() {
     let session = Session::new();
     session.file("fleet.yaml", "handshake: skip\nrobots: {left: {init: arm.yaml, address: sim}}\n");
     let scenario = "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 100ms, to: 45}]}}]\n";
@@ -138,7 +138,7 @@ fn where_nothing_is_proven_no_robot_is_seized() {
 }
 
 #[test]
-fn the_robot_to_copy_in_python_is_seized_by_who_may() {
+fn starter_robot_in_python_is_seized_only_with_the_seize_role() {
     let site = Site::new();
     let session = &site.session;
     session.run(&["keys", "robot", "arm-1"]).says(0, &[]);

@@ -15,7 +15,7 @@ use stage::{Process, free_port};
 const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,no-certificate,roles";
 
 #[test]
-fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
+fn tls_mission_plays_and_all_unauthorized_attempts_are_refused() {
     let site = Site::new();
     site.run().says(0, &["test: done"]);
     let moved = site.moved();
@@ -80,7 +80,7 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
 }
 
 #[test]
-fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
+fn remotely_reachable_robot_requires_a_key_or_the_insecure_flag() {
     let session = Session::new();
     let listen = format!("0.0.0.0:{}", free_port());
     let args = ["robot", "--init", "arm.yaml", "--listen", &listen];
@@ -98,7 +98,7 @@ fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
 }
 
 #[test]
-fn a_fleet_with_open_robots_elsewhere_says_so_or_is_refused() {
+fn unprotected_remote_robots_require_the_insecure_setting() {
     let session = Session::new();
     let fleet = "robots:\n  left: {init: arm.yaml, address: 'tcp://192.0.2.1:7401'}\n";
     let scenario = "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
@@ -113,7 +113,7 @@ fn a_fleet_with_open_robots_elsewhere_says_so_or_is_refused() {
 }
 
 #[test]
-fn simulated_robots_of_a_fleet_have_their_keys_too() {
+fn simulated_robots_of_a_fleet_have_keys() {
     let session = Session::new();
     let port = free_port();
     session.file(
@@ -133,7 +133,7 @@ fn simulated_robots_of_a_fleet_have_their_keys_too() {
 }
 
 #[test]
-fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
+fn operator_with_stop_role_stops_missions_of_others_and_is_named() {
     let site = Site::new();
     let long = SCENARIO.replace("{at: 300ms, to: 10}, {at: 600ms, to: 45}", "{at: 60s, to: 10}");
     site.session.file("long.yaml", long);
@@ -164,7 +164,7 @@ fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
 }
 
 #[test]
-fn certificates_that_end_soon_are_told_of_weeks_ahead() {
+fn expiring_certificates_are_reported_weeks_in_advance() {
     let session = Session::new();
     let port = free_port();
     let fleet = format!(
@@ -193,7 +193,7 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
 }
 
 #[test]
-fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
+fn starter_robot_in_python_obeys_only_its_authorized_operators() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "robot", "arm-1"]).says(0, &[]);
@@ -221,7 +221,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
 }
 
 #[test]
-fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_moves_nothing() {
+fn altered_repeated_or_reordered_data_ends_connection_and_moves_nothing() {
     let site = Site::new();
     site.session.file("test.yaml", LONG_SCRIPT);
     // The first long record carries the operator's certificate, the second the script.
@@ -257,7 +257,7 @@ fn asks_nobody(identity: &std::path::Path) -> std::net::SocketAddr {
 }
 
 #[test]
-fn a_robot_that_asks_for_no_certificate_fails_the_conformance_test() {
+fn robot_that_requests_no_certificate_fails_the_conformance_test() {
     let session = Session::new();
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "robot", "arm"]).says(0, &[]);

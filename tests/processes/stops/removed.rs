@@ -57,7 +57,7 @@ fn is_stopped(stage: &Stage, mission: Running) -> Ended {
 }
 
 #[test]
-fn a_mission_whose_state_folder_is_removed_says_so_and_is_stopped_by_downbeat_stop() {
+fn mission_reports_its_removed_state_folder_and_can_still_be_stopped() {
     let stage = stage();
     let mut mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     std::fs::remove_dir_all(stage.path("state")).unwrap();
@@ -72,7 +72,7 @@ fn a_mission_whose_state_folder_is_removed_says_so_and_is_stopped_by_downbeat_st
 }
 
 #[test]
-fn a_mission_whose_state_folder_is_moved_away_is_listed_and_stopped_at_its_old_place() {
+fn mission_with_moved_state_folder_is_listed_and_stopped_at_old_path() {
     let stage = stage();
     let mission = stage.begin(&["run", "long.yaml", "--format", "json"], [0, 1], 2);
     std::fs::rename(stage.path("state"), stage.path("elsewhere")).unwrap();
@@ -88,7 +88,7 @@ fn a_mission_whose_state_folder_is_moved_away_is_listed_and_stopped_at_its_old_p
 }
 
 #[test]
-fn a_mission_whose_socket_alone_is_removed_makes_it_again() {
+fn mission_recreates_its_socket_if_only_the_socket_is_removed() {
     let stage = stage();
     let mission = stage.begin(&["run", "long.yaml", "--format", "json"], [0, 1], 2);
     let socket = missions(&stage.path("state"))[0].join("control");
@@ -99,7 +99,7 @@ fn a_mission_whose_socket_alone_is_removed_makes_it_again() {
 }
 
 #[test]
-fn a_mission_in_the_background_writes_its_log_again() {
+fn background_mission_recreates_its_log() {
     let stage = stage();
     let detached = stage.run(&["run", "long.yaml", "--detach", "--format", "json"]);
     assert_eq!(detached.code, Some(0), "{detached}");
@@ -115,7 +115,7 @@ fn a_mission_in_the_background_writes_its_log_again() {
 }
 
 #[test]
-fn a_mission_that_cannot_write_its_journal_again_stops_its_robots() {
+fn mission_that_cannot_recreate_its_journal_stops_its_robots() {
     let stage = stage();
     let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     std::fs::remove_dir_all(stage.path("state")).unwrap();

@@ -37,17 +37,17 @@ fn check_that_silence_is_noticed(play: &Play, within: Duration) {
 }
 
 #[test]
-fn a_robot_that_is_frozen_while_it_plays_has_failed_when_its_lease_is_over() {
+fn robot_frozen_during_play_fails_when_its_lease_expires() {
     check_that_silence_is_noticed(&FORTY_SECONDS, Duration::from_secs(21));
 }
 
 #[test]
-fn a_robot_without_a_lease_that_is_frozen_while_it_plays_is_noticed_before_its_script_is_over() {
+fn frozen_robot_without_a_lease_is_detected_before_its_script_ends() {
     check_that_silence_is_noticed(&Play { running: "none", ..FORTY_SECONDS }, Duration::from_secs(35));
 }
 
 #[test]
-fn a_robot_killed_before_the_start_keeps_the_others_from_starting() {
+fn robot_killed_before_start_prevents_start_of_all_others() {
     std::thread::scope(|scope| {
         for before in [400, 300, 200, 150, 100, 70_i64] {
             scope.spawn(move || check_that_none_starts(before * 1_000_000));
@@ -89,17 +89,17 @@ fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
 }
 
 #[test]
-fn an_act_of_one_script_survives_a_link_that_stands_still_for_less_than_its_lease() {
+fn act_of_one_script_survives_a_link_stall_shorter_than_its_lease() {
     check_that_a_pause_of_the_link_is_survived(&Play { script: 24, ..CHAIN });
 }
 
 #[test]
-fn an_act_of_three_scripts_survives_a_link_that_stands_still_for_less_than_its_lease() {
+fn act_of_three_scripts_survives_a_link_stall_shorter_than_its_lease() {
     check_that_a_pause_of_the_link_is_survived(&CHAIN);
 }
 
 #[test]
-fn an_act_of_three_scripts_that_are_all_held_survives_a_link_that_stands_still() {
+fn act_of_three_held_scripts_survives_a_link_stall() {
     check_that_a_pause_of_the_link_is_survived(&Play { queue: 3, ..CHAIN });
 }
 
@@ -119,17 +119,17 @@ fn check_that_a_lost_script_is_sent_again(value: u32) {
 }
 
 #[test]
-fn a_script_that_was_lost_with_the_link_while_others_play_is_sent_again_and_cancels_nothing() {
+fn script_lost_with_the_link_during_play_is_resent_and_cancels_nothing() {
     check_that_a_lost_script_is_sent_again(17);
 }
 
 #[test]
-fn a_script_that_was_lost_with_the_link_while_acts_are_prepared_is_sent_again() {
+fn script_lost_with_the_link_during_preparation_is_resent() {
     check_that_a_lost_script_is_sent_again(9);
 }
 
 #[test]
-fn a_link_that_is_cut_in_mid_play_and_back_at_once_cancels_nothing() {
+fn brief_link_interruptions_during_play_cancel_nothing() {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
     let running = stage.start(&["run", "play.yaml", "--format", "json"]);
     let link = stage.robots[0].link.as_ref().unwrap();
@@ -145,7 +145,7 @@ fn a_link_that_is_cut_in_mid_play_and_back_at_once_cancels_nothing() {
 }
 
 #[test]
-fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patience() {
+fn connection_reset_during_handshake_is_retried_within_patience() {
     let stage = SHORT.stage(&[Via::Proxy, Via::Direct]);
     stage.robots[0].link.as_ref().unwrap().reset_first(1);
     let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
@@ -164,17 +164,17 @@ fn check_that_it_plays_without(keys: &'static [&'static str]) {
 }
 
 #[test]
-fn a_robot_that_echoes_no_names_of_requests_plays_all_its_scripts() {
+fn robot_that_does_not_echo_request_ids_plays_all_its_scripts() {
     check_that_it_plays_without(&["request_id", "content_hash", "inquiry"]);
 }
 
 #[test]
-fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
+fn robot_without_inquiry_responses_plays_all_its_scripts() {
     check_that_it_plays_without(&["inquiry"]);
 }
 
 #[test]
-fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
+fn link_that_accepts_and_closes_repeatedly_is_abandoned() {
     let mut stage = FORTY_SECONDS.stage(&[Via::Proxy, Via::Direct]);
     let running = stage.begin(&["run", "play.yaml", "--format", "json", "--patience", "2s"], [0], 3);
     // Its proxy continues to listen.
@@ -191,7 +191,7 @@ fn lead(act: &Value) -> f64 {
 }
 
 #[test]
-fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
+fn link_pause_does_not_delay_following_acts() {
     let stage = LONG.stage(&[Via::Proxy, Via::Direct]);
     let act = |act: u32, length: u32| {
         let track = format!("{{d: [{{at: 0s, to: {act}}}, {{at: {length}ms, to: {}}}]}}", act + 10);
@@ -240,7 +240,7 @@ fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
 }
 
 #[test]
-fn no_act_is_played_twice_when_a_robot_is_left_out_whose_end_of_an_earlier_act_is_unknown() {
+fn no_act_is_played_twice_when_a_robot_with_unknown_act_end_is_left_out() {
     check_that_no_act_is_played_twice(|robot| robot.link.as_ref().unwrap().interrupt());
 }
 

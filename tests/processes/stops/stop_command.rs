@@ -72,7 +72,7 @@ fn says(ended: &Ended, code: i32, parts: &[&str]) {
 const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 
 #[test]
-fn of_two_stops_within_a_moment_the_later_one_counts() {
+fn later_of_two_nearly_simultaneous_stops_takes_effect() {
     for delay in [10, 30, 50, 80] {
         let stage = stage(2);
         let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
@@ -90,7 +90,7 @@ fn of_two_stops_within_a_moment_the_later_one_counts() {
 }
 
 #[test]
-fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
+fn robot_removed_from_the_fleet_file_is_stopped_after_a_crash() {
     let stage = cut_off(2);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     let without: String =
@@ -102,7 +102,7 @@ fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
 }
 
 #[test]
-fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_their_scripts() {
+fn stop_after_a_crash_uses_the_addresses_that_received_the_scripts() {
     let mut stage = cut_off(2);
     let old = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     // From now on, another robot, at rest, has the address in the file.
@@ -128,7 +128,7 @@ fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_the
 }
 
 #[test]
-fn after_a_crash_a_stop_needs_no_fleet_file() {
+fn stop_after_a_crash_requires_no_fleet_file() {
     for broken in [None, Some("robots: [")] {
         let stage = cut_off(2);
         match broken {
@@ -143,7 +143,7 @@ fn after_a_crash_a_stop_needs_no_fleet_file() {
 }
 
 #[test]
-fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
+fn mission_with_an_unconfirmed_robot_can_be_stopped_again() {
     let stage = cut_off(2);
     stage.robots[1].freeze();
     let first = stage.run(&["stop", "--patience", "1s"]);
@@ -159,7 +159,7 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
 }
 
 #[test]
-fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
+fn second_stop_joins_an_earlier_stop_that_waits_for_a_robot() {
     let stage = cut_off(2);
     stage.robots[1].freeze();
     let first = stage.start(&["stop", "--patience", "30s"]);
@@ -187,7 +187,7 @@ fn control_sockets(stage: &Stage) -> usize {
 }
 
 #[test]
-fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
+fn mission_with_a_permanently_lost_robot_can_be_forgotten() {
     let mut stage = cut_off(1);
     stage.robots[0].kill();
     let missions = stage.run(&["missions", "--format", "json"]);
@@ -200,7 +200,7 @@ fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
 }
 
 #[test]
-fn old_journals_are_not_read_however_long_they_are() {
+fn old_journals_are_not_read_regardless_of_length() {
     let stage = cut_off(1);
     let folder = |named: &str| stage.path("state").join(named);
     let cut_off = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
@@ -226,7 +226,7 @@ fn old_journals_are_not_read_however_long_they_are() {
 }
 
 #[test]
-fn a_lease_of_a_robot_that_cannot_be_reached_is_told() {
+fn lease_of_an_unreachable_robot_is_reported() {
     let stage = stage(1);
     stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 20s}"));
     let mut mission = stage.begin(&["run", "long.yaml"], [0], 2);
@@ -237,7 +237,7 @@ fn a_lease_of_a_robot_that_cannot_be_reached_is_told() {
 }
 
 #[test]
-fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
+fn simulated_robot_lost_with_its_scheduler_is_not_reported_as_confirmed() {
     let mut stage = stage(1);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     let with = fleet
@@ -251,7 +251,7 @@ fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
 }
 
 #[test]
-fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
+fn stop_ends_immediately_if_all_robots_died_with_their_scheduler() {
     let stage = stage(0);
     stage.file("fleet.yaml", "robots: {s: {init: robot.yaml, address: sim}}\n");
     stage.file("long.yaml", plays("long", "s"));
@@ -262,7 +262,7 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
 }
 
 #[test]
-fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
+fn running_mission_with_an_unreadable_journal_is_stopped() {
     for damage in [|journal: &mut Vec<u8>| journal[15] ^= 1, |journal: &mut Vec<u8>| journal.clear()] {
         let stage = stage(1);
         let mission = stage.begin(&["run", "long.yaml"], [0], 2);
@@ -279,7 +279,7 @@ fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
 }
 
 #[test]
-fn a_robot_that_says_nothing_readable_is_told_of_in_a_line_and_buries_no_other() {
+fn unreadable_robot_messages_are_reported_once_and_hide_no_other_robot() {
     let mut stage = cut_off(2);
     stage.robots[0].kill();
     let listener = std::net::TcpListener::bind(("127.0.0.1", stage.robots[0].port())).unwrap();
@@ -296,7 +296,7 @@ fn a_robot_that_says_nothing_readable_is_told_of_in_a_line_and_buries_no_other()
 }
 
 #[test]
-fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
+fn stop_without_name_stops_and_names_running_and_interrupted_missions() {
     let stage = stage(4);
     for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
         stage.file(&format!("{name}.yaml"), plays(name, robots));
@@ -312,7 +312,7 @@ fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_nam
 }
 
 #[test]
-fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
+fn stop_all_returns_the_worst_exit_code_and_reports_each_mission_in_json() {
     let stage = stage(2);
     stage.file("one.yaml", plays("one", "[r0]")).file("two.yaml", plays("two", "[r1]"));
     let mut one = stage.begin(&["run", "one.yaml"], [0], 2);
@@ -332,7 +332,7 @@ fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
 }
 
 #[test]
-fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
+fn robots_of_a_stalled_scheduler_are_stopped_directly() {
     let stage = stage(2);
     let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     mission.process.signal(Signal::STOP);
@@ -349,7 +349,7 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
 }
 
 #[test]
-fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
+fn mission_without_a_socket_is_stopped_directly_and_ends() {
     let stage = stage(2);
     let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     for folder in std::fs::read_dir(stage.path("state")).unwrap() {
@@ -362,7 +362,7 @@ fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
 }
 
 #[test]
-fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
+fn go_to_a_stalled_scheduler_fails_and_has_no_later_effect() {
     let stage = stage(1);
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
     let mission = stage.start_until(&["run", "acts.yaml"], "`two` waits for the operator's go");
@@ -390,7 +390,7 @@ acts:
 ";
 
 #[test]
-fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() {
+fn early_go_is_refused_and_accepted_go_names_the_starting_act() {
     let stage = stage(1);
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
     let mut mission = stage.begin(&["run", "acts.yaml"], [0], 2);
@@ -410,7 +410,7 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
 }
 
 #[test]
-fn looking_at_missions_or_locking_their_journals_keeps_no_stop_from_them() {
+fn listing_missions_or_locking_journals_does_not_block_a_stop() {
     let stage = cut_off(2);
     let folder = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
     let foreign = std::fs::File::open(folder.join("journal")).unwrap();
@@ -435,7 +435,7 @@ fn looking_at_missions_or_locking_their_journals_keeps_no_stop_from_them() {
 }
 
 #[test]
-fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
+fn robot_with_all_connections_occupied_is_stopped() {
     let stage = cut_off(1);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     let address = fleet.split("tcp://").nth(1).unwrap().split('"').next().unwrap().to_owned();
@@ -476,7 +476,7 @@ fn taken_over() -> (Stage, String, Running) {
 }
 
 #[test]
-fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was_cut_off() {
+fn stop_names_no_lease_of_a_robot_taken_over_by_another_mission() {
     let (stage, old, new) = taken_over();
     let stopped = stage.run(&["stop", &old, "--patience", "1s"]);
     let taken = ["r0: not stopped: another mission now drives it", "r0: belongs to another session"];
@@ -499,7 +499,7 @@ fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was
 }
 
 #[test]
-fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
+fn mission_warns_if_an_interrupted_mission_drove_its_robot_and_continues() {
     let stage = stage(2);
     stage.file("old.yaml", plays("old", "[r0]").replace("{running: none}", "{running: 1s}"));
     for (name, robots) in [("new", "[r0]"), ("other", "[r1]")] {
@@ -519,7 +519,7 @@ fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
 }
 
 #[test]
-fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
+fn second_stop_reports_the_same_lease_end() {
     let stage = stage(1);
     stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 2s}"));
     let mut mission = stage.begin(&["run", "long.yaml"], [0], 2);
@@ -536,7 +536,7 @@ fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
 }
 
 #[test]
-fn a_robot_that_refuses_connections_is_told_as_the_reason_for_a_stop_that_is_not_confirmed() {
+fn refused_connection_is_reported_as_reason_for_an_unconfirmed_stop() {
     let mut stage = cut_off(1);
     stage.robots[0].kill();
     let stopped = stage.run(&["stop", "--patience", "1s"]);
@@ -545,7 +545,7 @@ fn a_robot_that_refuses_connections_is_told_as_the_reason_for_a_stop_that_is_not
 }
 
 #[test]
-fn a_direct_stop_says_in_json_what_it_knows_and_nothing_else() {
+fn direct_stop_reports_only_known_facts_in_json() {
     let stage = cut_off(1);
     stage.robots[0].freeze();
     let schema: serde_json::Value = serde_json::from_str(&stage.run(&["schema", "report"]).out).unwrap();

@@ -35,37 +35,37 @@ fn text(stage: &Stage, name: &str) -> String {
 }
 
 #[test]
-fn ctrl_c_stops_every_robot_whatever_else_stands_still() {
+fn ctrl_c_stops_every_robot_despite_other_faults() {
     check_row(Way::CtrlC, &TROUBLES);
 }
 
 #[test]
-fn sigterm_stops_every_robot_whatever_else_stands_still() {
+fn sigterm_stops_every_robot_despite_other_faults() {
     check_row(Way::Terminate, &TROUBLES);
 }
 
 #[test]
-fn a_terminal_that_is_closed_stops_every_robot_whatever_else_stands_still() {
+fn closed_terminal_stops_every_robot_despite_other_faults() {
     check_row(Way::HangUp, &TROUBLES);
 }
 
 #[test]
-fn the_command_stop_stops_every_robot_whatever_else_stands_still() {
+fn stop_command_stops_every_robot_despite_other_faults() {
     check_row(Way::Command, &TROUBLES);
 }
 
 #[test]
-fn the_command_stop_stops_every_robot_of_a_scheduler_that_was_killed() {
+fn stop_command_stops_every_robot_of_a_killed_scheduler() {
     check_row(Way::AfterCrash, &TROUBLES);
 }
 
 #[test]
-fn the_command_stop_stops_every_robot_of_a_scheduler_that_is_frozen() {
+fn stop_command_stops_every_robot_of_a_frozen_scheduler() {
     check_row(Way::WhileFrozen, &TROUBLES);
 }
 
 #[test]
-fn a_stop_leaves_where_it_is_what_a_failure_has_stopped() {
+fn stop_does_not_move_robots_already_stopped_by_a_failure() {
     let mut stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
     stage.file("arm.yaml", arm);

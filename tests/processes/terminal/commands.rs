@@ -26,7 +26,7 @@ cues:
 ";
 
 #[test]
-fn where_nothing_runs_stop_and_go_print_a_document_in_json() {
+fn stop_and_go_without_a_running_mission_print_json() {
     let session = Session::new();
     for args in [&["stop"][..], &["stop", "nobody"], &["go"], &["go", "--mission", "nobody"], &["resume"]] {
         let ran = session.run(&[args, &["--format", "json"]].concat());
@@ -39,7 +39,7 @@ fn where_nothing_runs_stop_and_go_print_a_document_in_json() {
 }
 
 #[test]
-fn several_missions_run_and_were_cut_off() {
+fn several_running_or_interrupted_missions_require_a_name() {
     let stage = LONG.stage(&[Via::Direct, Via::Direct]);
     let play = std::fs::read_to_string(stage.path("play.yaml")).unwrap();
     let one = |robot: &str| play.replace("robots: all", &format!("robots: {robot}"));
@@ -59,7 +59,7 @@ fn several_missions_run_and_were_cut_off() {
 }
 
 #[test]
-fn a_scenario_without_acts_says_so_where_one_is_asked_for() {
+fn selecting_an_act_in_a_scenario_without_acts_is_explained() {
     let session = Session::new();
     session.file("hello.yaml", SCENARIO);
     let ran = session.run(&["dry-run", "hello.yaml", "--act", "finale"]);
@@ -68,7 +68,7 @@ fn a_scenario_without_acts_says_so_where_one_is_asked_for() {
 }
 
 #[test]
-fn help_that_cannot_be_written_is_no_success() {
+fn help_output_that_cannot_be_written_is_a_failure() {
     let session = Session::new();
     for args in [&["--help"][..], &["run", "--help"], &["--version"]] {
         let full = File::options().write(true).open("/dev/full").unwrap();
@@ -86,7 +86,7 @@ fn help_that_cannot_be_written_is_no_success() {
 }
 
 #[test]
-fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_end() {
+fn unwritable_robot_log_is_reported_immediately_and_in_the_exit_code() {
     let stage = SHORT.stage(&[]);
     let told = stage.path("told");
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
@@ -109,7 +109,7 @@ fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_
 }
 
 #[test]
-fn nothing_of_a_ping_is_cut_in_a_pipe() {
+fn ping_output_is_not_truncated_in_a_pipe() {
     let session = Session::new();
     let host = format!("{}.invalid", "a-long-name".repeat(6));
     session.file(
@@ -123,7 +123,7 @@ fn nothing_of_a_ping_is_cut_in_a_pipe() {
 }
 
 #[test]
-fn a_check_says_no_word_twice() {
+fn preflight_messages_contain_no_duplicate_words() {
     let mut stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     stage.robots[1].kill();
     let ran = stage.run(&["preflight", "play.yaml"]);
@@ -132,7 +132,7 @@ fn a_check_says_no_word_twice() {
 }
 
 #[test]
-fn a_stop_because_of_a_failure_names_the_robot_and_its_reason() {
+fn stop_after_a_failure_names_the_robot_and_the_reason() {
     let mut stage = LONG.stage(&[Via::Direct, Via::Direct]);
     let mut run = stage.begin(&["run", "play.yaml", "--patience", "1s"], [1], 3);
     stage.robots[1].kill();
@@ -142,7 +142,7 @@ fn a_stop_because_of_a_failure_names_the_robot_and_its_reason() {
 }
 
 #[test]
-fn a_stop_because_of_a_wait_that_ran_out_names_the_act_and_its_wait() {
+fn stop_after_a_wait_timeout_names_the_act_and_its_wait() {
     let stage = SHORT.stage(&[Via::Direct]);
     let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
     stage.file("show.yaml", format!("scenario: show\nstart_tolerance: 1s\nacts:\n  - {{act: one, {cues}}}\n  - {{act: two, wait: {{for: operator, timeout: 300ms}}, {cues}}}\n"));
@@ -152,7 +152,7 @@ fn a_stop_because_of_a_wait_that_ran_out_names_the_act_and_its_wait() {
 }
 
 #[test]
-fn a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start() {
+fn rejected_start_claim_is_not_reported_as_a_start() {
     let stage = SHORT.stage(&[Via::Proxy]);
     stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
         let response = message.get_mut("control_response").filter(|response| response["status"] == "Started");
@@ -168,7 +168,7 @@ fn a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start() {
 }
 
 #[test]
-fn a_mission_in_the_background_that_does_not_begin_ends_with_its_own_code_and_reason() {
+fn failed_background_start_returns_its_own_exit_code_and_reason() {
     let mut stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     stage.robots[1].kill();
     let detached = stage.run(&["run", "play.yaml", "--detach", "--patience", "1s"]);
@@ -178,7 +178,7 @@ fn a_mission_in_the_background_that_does_not_begin_ends_with_its_own_code_and_re
 }
 
 #[test]
-fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
+fn background_mission_waiting_for_its_start_time_is_reported_as_running() {
     let stage = SHORT.stage(&[Via::Direct]);
     let detached = stage.run(&["run", "play.yaml", "--detach", "--at", "2100-01-01T00:00:00Z"]);
     assert_eq!(detached.code, Some(0), "{detached}");
@@ -246,7 +246,7 @@ const FAILURES: [(u8, &str); 52] = [
 ];
 
 #[test]
-fn failures_of_one_kind_end_with_one_code_and_print_a_document_in_json() {
+fn failures_of_one_kind_share_an_exit_code_and_print_json_documents() {
     let session = Session::new();
     session.file("hello.yaml", SCENARIO).file("wrong.yaml", SCENARIO.replace("shoulder", "hip"));
     session
@@ -276,7 +276,7 @@ fn failures_of_one_kind_end_with_one_code_and_print_a_document_in_json() {
 }
 
 #[test]
-fn a_chart_of_the_plan_is_for_people_only() {
+fn plan_chart_is_available_only_as_text() {
     let session = Session::new();
     let arm = "scenario: chart\ncues:\n  - {cue: raise, at: 0s, robots: left, tracks: {elbow: [{at: 0s, to: 0}, {at: 2s, to: 30}]}}\n";
     session.file("chart.yaml", arm);
@@ -293,7 +293,7 @@ fn a_chart_of_the_plan_is_for_people_only() {
 
 #[cfg(not(feature = "zenoh"))]
 #[test]
-fn a_build_without_zenoh_names_what_to_build_where_an_address_needs_it() {
+fn build_without_zenoh_names_the_required_feature_for_zenoh_addresses() {
     let session = Session::new();
     session.file("keys.yaml", "zenoh: z.json5\nrobots:\n  left: {init: arm.yaml, address: 'zenoh:hall/left'}\ngroups: {arms: [left]}\n");
     session.file("hello.yaml", SCENARIO);

@@ -73,7 +73,7 @@ fn evening() -> Session {
 }
 
 #[test]
-fn an_act_that_waits_begins_with_a_key_and_the_report_stays_on_the_terminal() {
+fn key_starts_waiting_act_and_report_remains_on_the_terminal() {
     for columns in [60, 100] {
         let session = evening();
         let mission = OnTerminal::start(session.command(&["run", "evening.yaml"]), columns);
@@ -94,7 +94,7 @@ fn long() -> Stage {
 }
 
 #[test]
-fn a_key_stops_and_the_terminal_is_as_before() {
+fn stop_key_ends_the_mission_and_restores_the_terminal() {
     let stage = long();
     let mut mission = OnTerminal::playing(&stage);
     stage.robots[0].await_sets(3, SOON);
@@ -106,7 +106,7 @@ fn a_key_stops_and_the_terminal_is_as_before() {
 }
 
 #[test]
-fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is_as_before() {
+fn second_ctrl_c_ends_a_stalled_scheduler_and_restores_the_terminal() {
     let stage = long();
     let mut command = stage.command(&["run", "play.yaml"]);
     command.env("LD_PRELOAD", compiled("processes/terminal/standstill.c", SHARED));
@@ -125,7 +125,7 @@ fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is
 }
 
 #[test]
-fn a_mission_that_is_suspended_leaves_the_terminal_as_it_was() {
+fn suspended_mission_restores_the_terminal() {
     let stage = long();
     let mut mission = OnTerminal::playing(&stage);
     mission.process.signal(Signal::TSTP);
@@ -139,7 +139,7 @@ fn a_mission_that_is_suspended_leaves_the_terminal_as_it_was() {
 }
 
 #[test]
-fn without_colours_the_display_only_moves() {
+fn display_without_colours_uses_only_cursor_movements() {
     let session = evening();
     let mut command = session.command(&["run", "evening.yaml", "--act", "opening"]);
     let terminal = Terminal::new(100, 30);
@@ -158,7 +158,7 @@ fn without_colours_the_display_only_moves() {
 }
 
 #[test]
-fn in_a_pipe_or_on_a_narrow_terminal_there_are_lines_alone() {
+fn only_plain_lines_are_printed_in_a_pipe_or_narrow_terminal() {
     let session = evening();
     let ran = session.run(&["run", "evening.yaml", "--act", "opening"]);
     ran.says(0, &["all robots have accepted", "evening: done"]);

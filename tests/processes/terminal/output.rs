@@ -40,7 +40,7 @@ fn check_that_it_plays_and_stops(out: Stdio, err: Stdio) {
 }
 
 #[test]
-fn a_terminal_that_stands_still_holds_up_no_mission() {
+fn stalled_terminal_does_not_block_a_mission() {
     let terminal = Terminal::new(100, 30).stall();
     check_that_it_plays_and_stops(terminal.end(), terminal.end());
 }
@@ -54,19 +54,19 @@ fn full_pipe() -> (File, File) {
 }
 
 #[test]
-fn a_full_pipe_behind_standard_error_holds_up_no_mission() {
+fn full_standard_error_pipe_does_not_block_a_mission() {
     let (_reader, full) = full_pipe();
     check_that_it_plays_and_stops(Stdio::null(), full.into());
 }
 
 #[test]
-fn a_full_pipe_behind_standard_output_holds_up_no_mission() {
+fn full_standard_output_pipe_does_not_block_a_mission() {
     let (_reader, full) = full_pipe();
     check_that_it_plays_and_stops(full.into(), Stdio::null());
 }
 
 #[test]
-fn lines_that_were_not_read_are_whole_once_the_output_is_read_again() {
+fn output_lines_are_whole_when_reading_resumes() {
     let stage = stage();
     let (reader, writer) = full_pipe();
     let mut command = stage.command(&["run", "play.yaml", "--patience", "2s", "--log", "trace"]);
@@ -108,7 +108,7 @@ fn check_on_a_full_disk(args: &[&str], code: i32) {
 }
 
 #[test]
-fn output_on_a_full_disk_is_no_success() {
+fn output_to_a_full_disk_is_a_failure() {
     for args in [
         &["check", "hello.yaml"][..],
         &["check", "hello.yaml", "--format", "json"],
@@ -128,12 +128,12 @@ fn output_on_a_full_disk_is_no_success() {
 }
 
 #[test]
-fn output_on_a_full_disk_hides_no_other_failure() {
+fn output_to_a_full_disk_hides_no_other_failure() {
     check_on_a_full_disk(&["check", "bad.yaml", "--format", "json"], 1);
 }
 
 #[test]
-fn a_reader_that_has_gone_is_no_error() {
+fn closed_output_pipe_is_not_an_error() {
     let session = Session::new();
     session.file("arm.yaml", arm_at(45)).file("hello.yaml", SCENARIO);
     for args in [&["check", "hello.yaml"][..], &["run", "hello.yaml"], &["schema", "scenario"]] {
@@ -147,7 +147,7 @@ fn a_reader_that_has_gone_is_no_error() {
 }
 
 #[test]
-fn a_recording_that_fails_fails_alone() {
+fn failed_recording_does_not_change_the_mission_outcome() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     let ended = stage.run(&["run", "play.yaml", "--record", "/dev/full"]);
     assert_eq!(ended.code, Some(7), "{ended}");
@@ -164,7 +164,7 @@ fn a_recording_that_fails_fails_alone() {
 }
 
 #[test]
-fn a_recording_that_fails_hides_no_robot_whose_stop_is_not_confirmed() {
+fn failed_recording_hides_no_unconfirmed_stop() {
     let stage = stage();
     let mut running = stage.begin(&["run", "play.yaml", "--record", "/dev/full", "--patience", "1s"], [0], 3);
     stage.robots[1].freeze();
@@ -177,7 +177,7 @@ fn a_recording_that_fails_hides_no_robot_whose_stop_is_not_confirmed() {
 }
 
 #[test]
-fn a_recording_that_cannot_be_begun_is_found_before_anything_moves() {
+fn recording_that_cannot_start_is_reported_before_any_movement() {
     let stage = SHORT.stage(&[Via::Direct]);
     let ended = stage.run(&["run", "play.yaml", "--record", "no/such/folder/play.mcap"]);
     assert_eq!(ended.code, Some(2), "{ended}");
@@ -186,7 +186,7 @@ fn a_recording_that_cannot_be_begun_is_found_before_anything_moves() {
 }
 
 #[test]
-fn a_log_in_a_pipe_or_with_no_color_has_no_colours() {
+fn log_has_no_colours_in_a_pipe_or_with_no_color() {
     let session = Session::new();
     session.file("arm.yaml", arm_at(45)).file("hello.yaml", SCENARIO);
     let ran = session.run(&["run", "hello.yaml", "--log", "trace"]);

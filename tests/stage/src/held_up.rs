@@ -79,7 +79,7 @@ fn missions(state: &Path) -> BTreeSet<PathBuf> {
 }
 
 #[test]
-fn only_a_machine_that_is_reported_as_too_slow_is_a_reason_to_play_again() {
+fn mission_is_repeated_only_if_the_machine_is_reported_too_slow() {
     let attempts = |reports: &[&str]| {
         let mut count = 0;
         let play = || {
@@ -99,7 +99,7 @@ fn only_a_machine_that_is_reported_as_too_slow_is_a_reason_to_play_again() {
 }
 
 #[test]
-fn a_mission_that_is_played_again_leaves_only_its_last_attempt_behind() {
+fn repeated_mission_leaves_only_its_last_attempt_behind() {
     let state = tempfile::tempdir().unwrap();
     std::fs::create_dir(state.path().join("earlier")).unwrap();
     let mut count = 0;

@@ -73,7 +73,7 @@ impl Stage {
 }
 
 #[test]
-fn a_value_that_changes_does_not_stay() {
+fn stays_panics_if_the_value_changes() {
     let count = std::cell::Cell::new(0);
     let counted = || count.replace(count.get() + 1);
     assert_eq!(stays(Duration::ZERO, || 7), 7);

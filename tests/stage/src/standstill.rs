@@ -47,7 +47,7 @@ fn watched<T>(experiment: impl Fn() -> T) -> (T, Duration) {
 }
 
 #[test]
-fn what_is_wrong_is_tried_again_only_if_a_standstill_explains_it() {
+fn wrong_result_is_retried_only_if_a_stall_explains_it() {
     let (short, long) = (EXPLAINS / 2, EXPLAINS * 2);
     let tries = |standstills: &[Duration], right: usize| {
         let mut count = 0;

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn on_free_cores_a_thread_wakes_early_and_lets_others_run() {
+    fn on_free_cores_thread_wakes_early_and_yields() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Free);
         assert!(approach.yields(now));
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_woke_late_wakes_earlier_for_a_minute() {
+    fn late_wake_up_makes_the_thread_wake_earlier_for_a_minute() {
         let (mut approach, now) = fair();
         approach.woke(now, micros(150));
         assert_eq!(lead(&mut approach, now), LEAD_FREE);
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn on_busy_cores_a_thread_sleeps_until_the_deadline_and_yields_to_nobody() {
+    fn on_busy_cores_thread_sleeps_until_the_deadline_without_yielding() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Busy);
         assert!(!approach.yields(now));
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_yield_ends_all_yields_for_a_second_whatever_a_look_says() {
+    fn slow_yield_disables_yields_for_a_second_despite_free_cores() {
         let (mut approach, now) = fair();
         approach.yielded(now, micros(500));
         assert!(approach.yields(now));
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_rests_after_a_movement_but_not_into_the_next_deadline_and_not_after_each_of_many() {
+    fn thread_rests_after_a_movement_but_not_past_a_deadline_or_too_often() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Free);
         approach.spun(now + REST_EVERY, Duration::ZERO);
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn under_real_time_scheduling_a_thread_yields_whatever_else_runs_and_never_looks() {
+    fn real_time_thread_always_yields_and_never_checks_the_load() {
         let (_, now) = fair();
         let mut approach = Approach::new(Scheduled::First);
         approach.looked(now, Cores::Busy);
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_look_comes_milliseconds_before_the_deadline_and_holds_for_a_while() {
+    fn load_check_precedes_the_deadline_by_milliseconds_and_stays_valid() {
         let (mut approach, now) = fair();
         let deadline = now + millis(100);
         assert_eq!(approach.look_at(now, deadline, 0.0), Some(deadline - LOOK_LATEST));
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn no_look_is_taken_just_before_a_deadline() {
+    fn load_is_not_checked_just_before_a_deadline() {
         let (approach, now) = fair();
         assert_eq!(approach.look_at(now, now + LOOK_LATEST, 1.0), Some(now));
         assert_eq!(approach.look_at(now, now + LOOK_LATEST - micros(1), 0.0), None);
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_whose_deadlines_never_end_spins_for_a_quarter_of_the_time() {
+    fn thread_with_endless_deadlines_spins_for_a_quarter_of_the_time() {
         for scheduled in [Scheduled::Fairly, Scheduled::First] {
             let begin = Instant::now();
             let (mut approach, mut now, mut spun) = (Approach::new(scheduled), begin, Duration::ZERO);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_pause_several_deadlines_in_a_row_are_spun_for() {
+    fn thread_spins_for_several_consecutive_deadlines_after_a_pause() {
         let (mut approach, now) = fair();
         let mut leads = Vec::new();
         // All waits take place at the same instant, so the thread earns no spinning time in between.
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn before_a_deadline_after_a_pause_a_thread_wakes_earlier_still() {
+    fn thread_wakes_even_earlier_for_a_deadline_after_a_pause() {
         let (mut approach, now) = fair();
         assert_eq!(approach.lead(now, now + millis(500)), LEAD_RESTED);
         approach.spun(now, Duration::ZERO);

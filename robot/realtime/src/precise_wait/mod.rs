@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deadline_is_never_met_early() {
+    fn wait_never_ends_before_the_deadline() {
         let (_sender, receiver) = channel::<()>();
         let mut waits = waits();
         for micros in [0, 1, 150, 1_000, 5_000, 20_000] {
@@ -212,14 +212,14 @@ mod tests {
     }
 
     #[test]
-    fn others_are_given_half_a_millisecond_to_move() {
+    fn other_processes_get_half_a_millisecond_to_move_their_robots() {
         let (mut waits, began) = (waits(), Instant::now());
         waits.let_others_move(None);
         assert!(began.elapsed() >= Duration::from_micros(500), "{:?}", began.elapsed());
     }
 
     #[test]
-    fn a_message_ends_a_wait_and_a_deadline_that_is_here_comes_before_it() {
+    fn message_ends_a_wait_but_a_reached_deadline_comes_first() {
         let (sender, receiver) = channel();
         sender.send(1).unwrap();
         sender.send(2).unwrap();
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_comes_just_before_a_deadline_waits_until_after_it() {
+    fn message_just_before_a_deadline_is_delivered_after_it() {
         let (sender, receiver) = channel();
         let mut waits = waits();
         waits.approach.looked(Instant::now(), Cores::Free);
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wait_ends_when_nobody_can_send_any_more() {
+    fn wait_ends_when_all_senders_are_dropped() {
         let (sender, receiver) = channel::<()>();
         let mut waits = waits();
         drop(sender);
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn more_threads_than_cores_make_a_machine_busy() {
+    fn machine_with_more_runnable_threads_than_cores_is_busy() {
         assert_eq!(runnable("0.20 0.18 0.12 3/80 11206\n"), Some(3));
         assert_eq!(runnable("0.20 0.18"), None);
         let folder = std::env::temp_dir().join(format!("downbeat-loads-{}", std::process::id()));

@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn consecutive_numbers_are_spread_evenly_over_the_cores_that_are_allowed() {
+    fn consecutive_numbers_are_spread_evenly_over_the_allowed_cores() {
         let cores = [2, 5, 7];
         let chosen: Vec<_> = (0..7).filter_map(|number| core_of(number, &cores)).collect();
         assert_eq!(chosen, [2, 5, 7, 2, 5, 7, 2]);
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_free_again_once_its_thread_is_gone() {
+    fn number_is_released_when_its_thread_has_ended() {
         // The number is far from those of robots in other tests, and unique to this process: the whole host shares the names of the
         // sockets.
         let number = 100_000 + std::process::id() as usize;
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_stays_on_its_core_while_there_are_more_threads_than_cores() {
+    fn thread_is_pinned_to_its_core_while_threads_outnumber_cores() {
         std::thread::spawn(|| {
             let mut place = Place::of_this_thread();
             let Some((number, _)) = place.number else { return };
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_thread_takes_another_number_than_the_first() {
+    fn second_thread_takes_a_different_number() {
         let first = take_lowest().unwrap();
         let second = take_lowest().unwrap();
         assert_ne!(first.0, second.0);

@@ -4,7 +4,7 @@ use super::*;
 use crate::tolerance::STALE;
 
 #[test]
-fn a_value_is_too_old_only_beyond_its_bound() {
+fn value_is_stale_only_beyond_its_limit() {
     let due = Instant::now();
     let value = |due| Value { setpoint: Setpoint::new(ControlType::Position, 1.0), due };
     let beyond = STALE + Duration::from_nanos(1);
@@ -85,7 +85,7 @@ fn next(mailbox: &Mailbox) -> String {
 }
 
 #[test]
-fn an_answer_confirms_what_was_done_of_a_device_and_nothing_that_waits_or_is_in_hand() {
+fn answer_confirms_completed_orders_of_a_device_and_no_pending_ones() {
     let mailbox = with([set("a", 1.0), confirm(1, "a"), confirm(2, "b"), set("b", 2.0), set("a", 3.0)]);
     mailbox.called(MS, Sign::Answered);
     assert_eq!(next(&mailbox), "confirm [2]", "later requests do not count");
@@ -100,7 +100,7 @@ fn an_answer_confirms_what_was_done_of_a_device_and_nothing_that_waits_or_is_in_
 }
 
 #[test]
-fn a_device_is_confirmed_although_others_wait_or_are_in_hand() {
+fn device_is_confirmed_while_orders_for_other_devices_are_pending() {
     let mailbox = with([set("a", 1.0), set("b", 2.0), plan("c"), confirm(1, "d")]);
     mailbox.called(MS, Sign::Answered);
     assert_eq!(next(&mailbox), "confirm [1]");
@@ -111,7 +111,7 @@ fn a_device_is_confirmed_although_others_wait_or_are_in_hand() {
 }
 
 #[test]
-fn a_script_that_waits_or_is_in_hand_is_not_confirmed() {
+fn script_that_waits_or_is_being_sent_is_not_confirmed() {
     let mailbox = with([plan("a"), confirm(1, "a")]);
     mailbox.called(MS, Sign::Answered);
     assert_eq!(next(&mailbox), "plan of a");
@@ -125,7 +125,7 @@ fn a_script_that_waits_or_is_in_hand_is_not_confirmed() {
 }
 
 #[test]
-fn hardware_that_acknowledges_values_is_not_asked_again() {
+fn acknowledged_values_are_confirmed_without_a_ping() {
     let mailbox = empty();
     mailbox.connected(1, DriverTraits { acknowledges: true, ..MANNERS });
     mailbox.post(1, [set("a", 1.0), confirm(1, "a")].into_iter(), Demand::default());
@@ -133,14 +133,14 @@ fn hardware_that_acknowledges_values_is_not_asked_again() {
 }
 
 #[test]
-fn values_and_scripts_keep_the_order_in_which_they_were_wanted() {
+fn values_and_scripts_keep_the_order_of_their_requests() {
     let mailbox = with([set("a", 1.0), plan("b"), set("a", 2.0), set("c", 3.0)]);
     let all: Vec<_> = std::iter::repeat_with(|| next(&mailbox)).take(4).collect();
     assert_eq!(all, ["a 2", "plan of b", "c 3", "nothing"], "the newer value keeps the place of the older");
 }
 
 #[test]
-fn a_movement_follows_its_value_and_a_newer_value_ends_it() {
+fn movement_follows_its_value_and_ends_with_a_newer_value() {
     let signal = Signal::resting(1.0, urrcp::Timestamp::from_nanos(0));
     let movement = Movement { signal, clock: HostClock::anchored() };
     let follow = || Order::Follow((id("a"), ControlType::Speed), movement);
@@ -149,7 +149,7 @@ fn a_movement_follows_its_value_and_a_newer_value_ends_it() {
 }
 
 #[test]
-fn words_take_turns_with_everything_else_and_come_before_a_fault_and_an_end() {
+fn script_reports_alternate_with_other_work_and_precede_fault_and_end() {
     let mailbox = with([set("a", 1.0), set("b", 2.0)]);
     mailbox.told_of_plan(word(1));
     assert_eq!(next(&mailbox), "1 words");
@@ -170,7 +170,7 @@ fn words_take_turns_with_everything_else_and_come_before_a_fault_and_an_end() {
 }
 
 #[test]
-fn a_driver_that_says_too_much_of_scripts_at_a_time_has_failed() {
+fn driver_that_sends_too_many_script_reports_at_once_has_failed() {
     let mailbox = with([]);
     (0..WORDS_MAX).for_each(|_| mailbox.told_of_plan(word(1)));
     assert_eq!([next(&mailbox), next(&mailbox)], ["10000 words", "nothing"]);
@@ -180,7 +180,7 @@ fn a_driver_that_says_too_much_of_scripts_at_a_time_has_failed() {
 }
 
 #[test]
-fn nothing_that_is_told_without_a_connection_reaches_the_next_one() {
+fn events_without_a_connection_do_not_reach_the_next_connection() {
     let mailbox = empty();
     mailbox.told_of_plan(word(1));
     mailbox.failed_by_itself("hot".to_owned());
@@ -194,7 +194,7 @@ fn nothing_that_is_told_without_a_connection_reaches_the_next_one() {
 }
 
 #[test]
-fn a_connection_that_ends_takes_everything_with_it() {
+fn end_of_a_connection_discards_everything_pending() {
     let mailbox = with([set("a", 1.0), plan("a"), Order::Read(ReadingId(1), id("eye")), confirm(1, "b")]);
     mailbox.told_of_plan(word(1));
     mailbox.hung_up(1, "cut".to_owned());
@@ -208,7 +208,7 @@ fn a_connection_that_ends_takes_everything_with_it() {
 }
 
 #[test]
-fn a_reading_waits_for_a_time_without_movements_and_not_for_long() {
+fn reading_waits_for_time_without_movements_but_not_for_long() {
     let mailbox = with([Order::Read(ReadingId(1), id("eye")), set("a", 1.0)]);
     let due = |after: Duration| Demand { next_due: Some(mailbox.now() + after), ..Demand::default() };
     mailbox.post(1, std::iter::empty(), due(QUIET / 2));
@@ -222,7 +222,7 @@ fn a_reading_waits_for_a_time_without_movements_and_not_for_long() {
 }
 
 #[test]
-fn no_more_readings_wait_than_may_be_open() {
+fn waiting_readings_are_limited_to_the_maximum_of_open_readings() {
     let mailbox = with([]);
     let reads = (0..2 * READINGS_MAX as u64).map(|reading| Order::Read(ReadingId(reading), id("eye")));
     mailbox.post(1, reads, Demand::default());
@@ -231,7 +231,7 @@ fn no_more_readings_wait_than_may_be_open() {
 }
 
 #[test]
-fn a_ping_waits_for_values_and_movements_until_it_is_overdue() {
+fn ping_waits_for_values_and_movements_until_it_is_overdue() {
     let since = |silent: Duration, due: Option<Duration>| {
         let mailbox = with([set("a", 1.0)]);
         let now = mailbox.now();
@@ -248,7 +248,7 @@ fn a_ping_waits_for_values_and_movements_until_it_is_overdue() {
 }
 
 #[test]
-fn hardware_is_silent_until_a_call_shows_that_it_lives_or_while_a_sensor_is_read() {
+fn silence_ends_with_a_sign_of_life_and_pauses_during_a_reading() {
     let mailbox = with([]);
     assert_eq!(mailbox.silence(), None);
     let begin = mailbox.now() - Duration::from_secs(2);
@@ -266,7 +266,7 @@ fn hardware_is_silent_until_a_call_shows_that_it_lives_or_while_a_sensor_is_read
 }
 
 #[test]
-fn what_is_demanded_before_a_connection_counts_for_it() {
+fn demand_before_a_connection_applies_to_it() {
     let mailbox = empty();
     let demand = Demand { held: true, ..Demand::default() };
     mailbox.post(0, std::iter::empty(), demand);
@@ -277,7 +277,7 @@ fn what_is_demanded_before_a_connection_counts_for_it() {
 }
 
 #[test]
-fn what_is_in_is_done_before_the_mailbox_is_closed_but_no_reading() {
+fn closing_mailbox_first_delivers_values_but_no_readings() {
     let mailbox = with([Order::Read(ReadingId(1), id("eye")), set("a", 1.0), set("b", 2.0)]);
     assert!(!mailbox.is_closed());
     mailbox.close();
@@ -286,7 +286,7 @@ fn what_is_in_is_done_before_the_mailbox_is_closed_but_no_reading() {
 }
 
 #[test]
-fn a_wait_ends_at_once_where_there_is_nothing_to_wait_for() {
+fn wait_ends_immediately_if_already_tried_or_closed() {
     let later = Duration::from_secs(3_600);
     let tried = Mailbox::default();
     tried.await_tried(Instant::now());
@@ -302,7 +302,7 @@ fn a_wait_ends_at_once_where_there_is_nothing_to_wait_for() {
 }
 
 #[test]
-fn a_sensor_that_is_known_tells_on_and_no_more_sensors_than_there_is_room_for() {
+fn known_sensor_updates_its_pushed_reading_and_sensors_are_limited() {
     let mailbox = with([]);
     for sensor in 0..PUSHED_MAX + 1 {
         mailbox.read_by_itself(&id(&format!("s{sensor}")), 1.0);

@@ -3,7 +3,7 @@
 use super::*;
 
 #[tokio::test]
-async fn values_reach_the_hardware_in_order_and_in_the_end_the_wheel_stops() {
+async fn values_reach_the_hardware_in_order_and_the_wheel_finally_stops() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     // Each script is done before the next one is due, so that none replaces another.
     for (id, value) in [("a", 4.0), ("b", -4.0), ("c", 2.0)] {
@@ -16,7 +16,7 @@ async fn values_reach_the_hardware_in_order_and_in_the_end_the_wheel_stops() {
 }
 
 #[tokio::test]
-async fn the_steps_of_a_script_reach_the_hardware_in_order_and_the_last_one_in_any_case() {
+async fn script_steps_reach_the_hardware_in_order_and_the_last_one_always() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script_in("wheel", "a", 3_000.0, &[(0.0, 4.0), (300.0, -4.0), (600.0, 2.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
@@ -30,7 +30,7 @@ async fn the_steps_of_a_script_reach_the_hardware_in_order_and_the_last_one_in_a
 }
 
 #[tokio::test]
-async fn what_is_set_on_hardware_is_in_the_log() {
+async fn values_set_on_hardware_are_logged() {
     let log = LogFile::new("edge");
     let options = HostOptions::default().with_log(log.0.clone());
     let mut rig = Rig::on(options, BLOCK, Bench::default(), DriverOptions::default());
@@ -43,7 +43,7 @@ async fn what_is_set_on_hardware_is_in_the_log() {
 }
 
 #[tokio::test]
-async fn hardware_that_was_only_looked_at_is_not_moved() {
+async fn hardware_that_only_read_a_sensor_is_not_moved() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.link.send(Message::ControlRequest(ControlRequest::immediate(
         DeviceId::new("eye").unwrap(),
@@ -57,7 +57,7 @@ async fn hardware_that_was_only_looked_at_is_not_moved() {
 }
 
 #[tokio::test]
-async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
+async fn linear_movement_is_sampled_on_the_grid_and_ends_at_its_target() {
     let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
     rig.script("arm", "a", &[(2_000.0, 30.0)], ControlType::Position);
@@ -73,7 +73,7 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 }
 
 #[tokio::test]
-async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
+async fn second_sample_of_a_movement_comes_one_period_after_the_first() {
     // One sample every three seconds, during a movement of six seconds. The first sample is near the start, though it may be a second
     // late; the third is at the end.
     let options = DriverOptions { samples_per_second: Some(1.0 / 3.0), ..DriverOptions::default() };
@@ -87,7 +87,7 @@ async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
 }
 
 #[tokio::test]
-async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
+async fn devices_slow_down_in_place_when_the_edge_ends() {
     // The driver would take ramps, but this movement is not a ramp.
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
@@ -103,7 +103,7 @@ async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
 }
 
 #[tokio::test]
-async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
+async fn driver_with_ramps_receives_a_linear_movement_as_a_whole() {
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let mut rig = Rig::new(bench, DriverOptions::default());
     rig.script("arm", "a", &[(0.0, 3.0), (3_000.0, 30.0)], ControlType::Position);
@@ -113,7 +113,7 @@ async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
 }
 
 #[tokio::test]
-async fn an_edge_that_ends_stays_until_a_way_that_the_driver_goes_by_itself_is_over() {
+async fn edge_ends_only_after_the_driver_has_finished_its_ramp() {
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let mut rig = Rig::of(HEAVY, bench, DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 10.0), (60_000.0, 10.0)], ControlType::Speed);
@@ -128,7 +128,7 @@ async fn an_edge_that_ends_stays_until_a_way_that_the_driver_goes_by_itself_is_o
 }
 
 #[tokio::test]
-async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_jump() {
+async fn position_that_cannot_come_to_rest_in_time_is_kept_without_a_jump() {
     let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
     rig.script("lift", "a", &[(4_000.0, 20.0), (60_000.0, 20.0)], ControlType::Position);
     rig.responses(&PLAYED[..2]).await;
@@ -140,7 +140,7 @@ async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_j
 }
 
 #[tokio::test]
-async fn the_hardware_is_asked_for_a_sign_of_life_however_close_the_steps_are() {
+async fn hardware_is_pinged_however_close_the_steps_are() {
     let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
     let steps: Vec<_> = (0..700_u32).map(|i| (f64::from(i) * 5.0, f64::from(i % 2 + 1))).collect();
     rig.script("wheel", "a", &steps, ControlType::Speed);
@@ -151,7 +151,7 @@ async fn the_hardware_is_asked_for_a_sign_of_life_however_close_the_steps_are() 
 }
 
 #[tokio::test]
-async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait() {
+async fn slow_device_skips_outdated_values_without_delaying_the_machine() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.bench.busy.store(true, Ordering::SeqCst);
     rig.script("wheel", "a", &[(0.0, 0.0)], ControlType::Speed);
@@ -170,7 +170,7 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
 }
 
 #[tokio::test]
-async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script_fails_as_late() {
+async fn value_delayed_too_long_is_not_set_and_its_script_fails_as_late() {
     // The limit is long enough that even a slow machine sets the first value in time.
     let late_max = Span::from_millis(5_000);
     let tolerance = Tolerance { step: late_max, ..Tolerance::AN_HOUR };
@@ -188,7 +188,7 @@ async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script
 }
 
 #[tokio::test]
-async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_ping() {
+async fn disconnected_hardware_is_unavailable_before_the_next_ping() {
     let (hangs_up, line) = std::os::unix::net::UnixStream::pair().unwrap();
     let bench = Bench { line: Some(line), ..Bench::default() };
     let mut rig = Rig::new(bench, DriverOptions::default());
@@ -200,7 +200,7 @@ async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_p
 }
 
 #[tokio::test]
-async fn hardware_that_fails_under_a_script_fails_it_and_turns_no_more_when_it_is_back() {
+async fn hardware_failure_fails_the_script_and_reconnection_stops_the_wheel() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
@@ -221,7 +221,7 @@ async fn hardware_that_fails_under_a_script_fails_it_and_turns_no_more_when_it_i
 }
 
 #[tokio::test]
-async fn hardware_that_fails_in_the_last_value_of_a_script_leaves_its_end_unknown() {
+async fn end_of_a_script_is_unknown_if_the_hardware_fails_in_its_last_value() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.bench.busy.store(true, Ordering::SeqCst);
     rig.script("wheel", "a", &[(0.0, 4.0)], ControlType::Speed);
@@ -236,7 +236,7 @@ async fn hardware_that_fails_in_the_last_value_of_a_script_leaves_its_end_unknow
 }
 
 #[tokio::test]
-async fn a_stop_is_confirmed_once_the_hardware_has_taken_it() {
+async fn stop_is_confirmed_once_the_hardware_has_accepted_it() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
@@ -254,7 +254,7 @@ async fn a_stop_is_confirmed_once_the_hardware_has_taken_it() {
 }
 
 #[tokio::test]
-async fn a_value_that_the_hardware_refuses_reads_as_refused_and_not_as_away() {
+async fn value_refused_by_the_hardware_is_reported_as_refused() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
@@ -266,7 +266,7 @@ async fn a_value_that_the_hardware_refuses_reads_as_refused_and_not_as_away() {
 }
 
 #[tokio::test]
-async fn hardware_that_cannot_be_brought_to_rest_is_named_when_its_host_ends() {
+async fn hardware_that_cannot_come_to_rest_is_reported_when_its_host_ends() {
     for noticed in [false, true] {
         let mut rig = Rig::new(Bench::default(), DriverOptions::default());
         rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
@@ -282,7 +282,7 @@ async fn hardware_that_cannot_be_brought_to_rest_is_named_when_its_host_ends() {
 }
 
 #[tokio::test]
-async fn the_last_values_are_followed_by_a_question_so_that_they_are_known_to_be_taken() {
+async fn last_values_are_followed_by_a_ping_that_confirms_them() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
@@ -294,7 +294,7 @@ async fn the_last_values_are_followed_by_a_question_so_that_they_are_known_to_be
 }
 
 #[tokio::test]
-async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
+async fn panic_of_a_driver_fails_the_running_script_but_not_the_host() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
@@ -307,7 +307,7 @@ async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
 }
 
 #[tokio::test]
-async fn a_sensor_is_read_no_more_often_than_its_rate() {
+async fn sensor_is_read_at_most_at_its_rate() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default().with_readings_per_second(0.01));
     for _ in 0..3 {
         rig.link.send(Message::ControlRequest(ControlRequest::immediate(
@@ -320,7 +320,7 @@ async fn a_sensor_is_read_no_more_often_than_its_rate() {
 }
 
 #[tokio::test]
-async fn a_host_tells_whether_the_hardware_of_its_robots_answers() {
+async fn host_reports_whether_the_hardware_of_its_robots_answers() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     let figures = rig.host.figures();
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
@@ -339,7 +339,7 @@ async fn a_host_tells_whether_the_hardware_of_its_robots_answers() {
 }
 
 #[tokio::test]
-async fn hardware_stays_where_it_is_and_turns_no_more_when_its_edge_ends() {
+async fn hardware_keeps_its_position_and_stops_turning_when_its_edge_ends() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("arm", "a", &[(0.0, 30.0)], ControlType::Position);
     rig.responses(&PLAYED).await;
@@ -354,7 +354,7 @@ async fn hardware_stays_where_it_is_and_turns_no_more_when_its_edge_ends() {
 }
 
 #[tokio::test]
-async fn an_edge_whose_session_is_over_is_free_once_it_is_asked() {
+async fn edge_is_free_at_the_next_check_after_its_session_has_ended() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     let handle = rig.host.handle();
     let session = urrcp::SessionId::new("show").ok();
@@ -369,7 +369,7 @@ async fn an_edge_whose_session_is_over_is_free_once_it_is_asked() {
 }
 
 #[tokio::test]
-async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
+async fn hardware_watcher_receives_each_event() {
     let (tell, events) = channel();
     let (done, _seen) = channel();
     let bench = Arc::new(Bench::default());

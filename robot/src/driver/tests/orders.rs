@@ -12,7 +12,7 @@ fn stopped() -> (Mailbox, Instant) {
 }
 
 #[test]
-fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
+fn script_cancelled_before_delivery_never_reaches_the_driver() {
     let (mailbox, now) = stopped();
     mailbox.connected(1, mailbox::DriverTraits { acknowledges: true, ..MANNERS });
     let arm = DeviceId::new("arm").unwrap();
@@ -32,7 +32,7 @@ fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
 }
 
 #[test]
-fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_older_ones() {
+fn orders_of_earlier_connections_are_void_and_newer_values_replace_older() {
     let (mailbox, now) = stopped();
     let key = |device: &str| (DeviceId::new(device).unwrap(), ControlType::Speed);
     let set = |device, value| {
@@ -62,7 +62,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
 }
 
 #[test]
-fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
+fn driver_with_frames_receives_all_pending_values_at_once() {
     let (mailbox, now) = stopped();
     mailbox.connected(1, mailbox::DriverTraits { acknowledges: true, takes_frames: true, ..MANNERS });
     let set = |device: &str, value| {
@@ -79,7 +79,7 @@ fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
 }
 
 #[tokio::test]
-async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
+async fn unrequested_reading_expires_with_its_time_and_its_connection() {
     let mailbox = Arc::new(Mailbox::default());
     let pushes = Pushes::into(Arc::clone(&mailbox));
     let eye = DeviceId::new("eye").unwrap();
@@ -98,7 +98,7 @@ async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
 }
 
 #[test]
-fn what_a_driver_says_of_a_script_is_passed_on_as_it_says_it() {
+fn driver_reports_about_a_script_are_passed_on_unchanged() {
     let mailbox = Arc::new(Mailbox::default());
     let pushes = Pushes::into(Arc::clone(&mailbox));
     mailbox.connected(1, MANNERS);

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn what_is_set_of_a_driver_leaves_the_rest_as_it_was() {
+fn each_driver_option_leaves_the_others_unchanged() {
     let options = DriverOptions::default().with_samples_per_second(40.0).with_readings_per_second(3.0);
     let options = options.with_pings_per_second(7.0);
     let set = [options.samples_per_second, options.readings_per_second, options.pings_per_second];
@@ -33,7 +33,7 @@ impl Driver for Plain {
 }
 
 #[test]
-fn a_driver_by_default_is_told_values_alone_one_after_another() {
+fn default_driver_receives_only_single_values_in_order() {
     let mut plain = Plain(Vec::new());
     assert!(!plain.takes_ramps() && !plain.takes_frames() && !plain.set_is_acknowledged());
     assert!(plain.lookahead().is_empty() && plain.latency().is_empty() && plain.lifeline().is_none());
@@ -55,7 +55,7 @@ fn a_driver_by_default_is_told_values_alone_one_after_another() {
 }
 
 #[test]
-fn imagined_hardware_reads_what_was_set_last_or_the_middle_of_its_range() {
+fn simulated_reading_is_the_last_set_value_or_the_middle_of_the_range() {
     let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
     let mut driver = SimulatedDriver::new(&block);
     let (arm, eye) = (DeviceId::new("arm").unwrap(), DeviceId::new("eye").unwrap());

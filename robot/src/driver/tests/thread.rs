@@ -113,7 +113,7 @@ fn away(why: &str) -> Result<(), DriverError> {
 }
 
 #[test]
-fn hardware_that_comes_back_too_late_to_be_told_anything_is_named() {
+fn hardware_that_reconnects_too_late_for_commands_is_reported() {
     let answer = |what: &str, _: &Pushes| if what == "wheel 4" { away("cut") } else { Ok(()) };
     let (ended, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
         "there 1" => post(mailbox, 1, vec![set_order("wheel", 4.0)]),
@@ -125,7 +125,7 @@ fn hardware_that_comes_back_too_late_to_be_told_anything_is_named() {
 }
 
 #[test]
-fn hardware_that_stays_away_is_named_if_it_was_moved_and_otherwise_not() {
+fn unavailable_hardware_is_reported_only_if_it_was_moved() {
     for (moves, expected) in [(true, Err("the hardware is not available: cut".to_owned())), (false, Ok(()))] {
         let answer = move |what: &str, pushes: &Pushes| match what {
             "wheel 4" => away("cut"),
@@ -144,7 +144,7 @@ fn hardware_that_stays_away_is_named_if_it_was_moved_and_otherwise_not() {
 }
 
 #[test]
-fn a_frame_is_told_by_one_call_and_a_refused_one_names_its_first_values() {
+fn frame_is_sent_in_one_call_and_its_refusal_names_the_first_values() {
     let answer = |what: &str, _: &Pushes| match what {
         "10 values" => Err(DriverError::Refused("too hot".to_owned())),
         "2 values" | "read eye" | "connect" | "ping" => Ok(()),
@@ -163,7 +163,7 @@ fn a_frame_is_told_by_one_call_and_a_refused_one_names_its_first_values() {
 }
 
 #[test]
-fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
+fn failed_reading_keeps_the_connection_unless_the_hardware_is_away() {
     let mut answers = [Err(DriverError::Refused("dark".to_owned())), Ok(()), away("cut")].into_iter();
     let answer =
         move |what: &str, _: &Pushes| if what == "read eye" { answers.next().unwrap() } else { Ok(()) };
@@ -183,7 +183,7 @@ fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
 }
 
 #[test]
-fn what_a_sensor_told_unasked_answers_a_request_for_as_long_as_its_delay_allows() {
+fn unrequested_reading_answers_requests_within_the_sensor_delay() {
     let at_once = BLOCK.replace(r#""max_delay": 60000"#, r#""max_delay": 0"#);
     for (block, expected) in [(BLOCK, "reading Ok(3.0)"), (&at_once, "reading Ok(7.0)")] {
         let answer = |what: &str, pushes: &Pushes| {
@@ -201,7 +201,7 @@ fn what_a_sensor_told_unasked_answers_a_request_for_as_long_as_its_delay_allows(
 }
 
 #[test]
-fn what_the_hardware_says_by_itself_ends_its_connection() {
+fn fault_reported_by_the_hardware_ends_its_connection() {
     let mut faults = 0;
     let answer = move |what: &str, pushes: &Pushes| {
         if what == "wheel 4" && faults == 0 {
@@ -223,7 +223,7 @@ fn what_the_hardware_says_by_itself_ends_its_connection() {
 }
 
 #[test]
-fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
+fn values_without_acknowledgement_are_confirmed_by_the_next_answer() {
     let (asked, pings) = channel();
     let answer = move |what: &str, _: &Pushes| {
         if what == "ping" {
@@ -262,7 +262,7 @@ fn take(first: usize, due: i64) -> mailbox::Order {
 }
 
 #[test]
-fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
+fn script_that_reaches_the_driver_too_late_is_not_handed_over() {
     let refused = "this driver cannot play scripts by itself";
     let late = "s too late to be played";
     // A first step must not start too late. A later step may be an hour late.
@@ -289,7 +289,7 @@ fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
 }
 
 #[test]
-fn a_script_that_the_driver_never_had_is_over_when_it_is_to_be_ended() {
+fn cancelled_script_that_the_driver_never_received_is_over() {
     let cancel = || PlanCancel {
         plan: crate::PlanId(1),
         device: DeviceId::new("arm").unwrap(),
@@ -311,7 +311,7 @@ fn a_script_that_the_driver_never_had_is_over_when_it_is_to_be_ended() {
 }
 
 #[test]
-fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
+fn driver_that_reports_on_an_unknown_script_has_failed() {
     for plan in [0, 2, 9] {
         let answer = move |what: &str, pushes: &Pushes| {
             if what == "wheel 4" {
@@ -335,7 +335,7 @@ fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
 }
 
 #[test]
-fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
+fn stale_value_is_reported_and_not_set_while_others_are_set() {
     let (told, calls) = channel();
     let answer = move |what: &str, _: &Pushes| {
         told.send(what.to_owned()).unwrap();
@@ -356,7 +356,7 @@ fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
 }
 
 #[test]
-fn a_driver_that_was_told_a_script_has_moved_its_hardware() {
+fn hardware_counts_as_moved_once_its_driver_has_received_a_script() {
     let (ended, _) = driven(
         BLOCK,
         false,
@@ -372,7 +372,7 @@ fn a_driver_that_was_told_a_script_has_moved_its_hardware() {
 
 #[test]
 #[expect(clippy::disallowed_methods, reason = "real pauses may be longer, and not shorter")]
-fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
+fn unavailable_or_failing_hardware_is_reconnected_ever_less_often() {
     for is_there in [false, true] {
         let answer = move |what: &str, _: &Pushes| {
             if what == "connect" && is_there { Ok(()) } else { away("cut") }
@@ -406,7 +406,7 @@ fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
 }
 
 #[test]
-fn a_reading_that_was_told_unasked_counts_for_the_delay_of_its_sensor_or_a_second() {
+fn unrequested_reading_is_valid_for_the_sensor_delay_or_a_second() {
     let without = BLOCK.replace(r#", "max_delay": 60000"#, "");
     for (block, expected) in [(BLOCK, Duration::from_secs(60)), (&without, Duration::from_secs(1))] {
         let driver = Box::new(Told { answer: |_: &str, _: &Pushes| Ok(()), pushes: None, frames: false });

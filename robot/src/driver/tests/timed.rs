@@ -4,7 +4,7 @@
 use super::*;
 
 #[tokio::test]
-async fn a_script_that_the_driver_times_is_handed_over_and_told_as_the_driver_says() {
+async fn script_timed_by_the_driver_is_reported_as_the_driver_reports_it() {
     let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
     rig.script_in("arm", "a", 3_000.0, &[(0.0, 5.0), (300.0, 6.5)], ControlType::Position);
     let accepted = rig.response().await;
@@ -18,7 +18,7 @@ async fn a_script_that_the_driver_times_is_handed_over_and_told_as_the_driver_sa
 }
 
 #[tokio::test]
-async fn a_driver_that_times_scripts_ends_them_before_the_device_goes_to_rest() {
+async fn driver_that_times_scripts_ends_them_before_the_device_comes_to_rest() {
     let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
     rig.script_in("arm", "a", 60_000.0, &[(0.0, 5.0)], ControlType::Position);
     rig.responses(&PLAYED[..1]).await;
@@ -27,7 +27,7 @@ async fn a_driver_that_times_scripts_ends_them_before_the_device_goes_to_rest() 
 }
 
 #[tokio::test]
-async fn a_script_that_the_driver_does_not_take_fails_and_the_hardware_stays() {
+async fn script_refused_by_the_driver_fails_with_the_reason() {
     let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
     rig.bench.refuses.store(true, Ordering::SeqCst);
     rig.script_in("arm", "a", 60_000.0, &[(0.0, 5.0)], ControlType::Position);
@@ -105,7 +105,7 @@ async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
 }
 
 #[tokio::test]
-async fn a_program_that_times_scripts_reports_what_it_logs() {
+async fn reports_of_a_program_that_times_scripts_agree_with_its_log() {
     // With a horizon, the driver receives the last step two seconds before the previous step is due.
     for (mode, apart) in [("script", 300.0), ("horizon", 2_000.0)] {
         let Some((host, mut link, folder)) = ahead(mode) else { return };
@@ -126,7 +126,7 @@ async fn a_program_that_times_scripts_reports_what_it_logs() {
 }
 
 #[tokio::test]
-async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
+async fn script_fails_if_its_program_fails_in_a_step_or_dies() {
     for (value, why) in [(66.0, "the hardware failed in step 2: RuntimeError: torque"), (77.0, "has ended")] {
         let Some((host, mut link, folder)) = ahead("script") else { return };
         link.send(request(
@@ -146,7 +146,7 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
 }
 
 #[tokio::test]
-async fn a_stop_ends_the_script_of_a_program_before_it_is_confirmed() {
+async fn script_of_a_program_has_ended_when_its_stop_is_confirmed() {
     let Some((host, mut link, folder)) = ahead("script") else { return };
     // The script runs for a minute, so that the stop comes before its end.
     let mut steps: Vec<_> = (0..7_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();

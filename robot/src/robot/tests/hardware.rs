@@ -48,7 +48,7 @@ fn rests(bench: &Bench) -> Vec<(String, f64)> {
 }
 
 #[test]
-fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
+fn robot_without_hardware_is_unavailable_and_accepts_nothing() {
     let mut bench = driven();
     let (status, why) = available(&mut bench);
     assert_eq!(status, Status::Failed);
@@ -65,7 +65,7 @@ fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
 }
 
 #[test]
-fn hardware_that_fails_ends_what_runs_and_waits_and_moves_nothing_when_it_is_back() {
+fn hardware_failure_fails_all_scripts_and_reconnection_resumes_none() {
     let mut bench = ready();
     bench.request(ControlRequest::immediate(
         DeviceId::new("wheel").unwrap(),
@@ -92,7 +92,7 @@ fn hardware_that_fails_ends_what_runs_and_waits_and_moves_nothing_when_it_is_bac
 }
 
 #[test]
-fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
+fn hardware_without_set_values_is_left_unchanged() {
     let mut bench = ready();
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     bench.robot.hardware_found(bench.now, &mut bench.out);
@@ -101,7 +101,7 @@ fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
 }
 
 #[test]
-fn a_custom_type_goes_to_what_it_declares_once_a_command_has_driven_it_and_stays_otherwise() {
+fn custom_type_rests_at_its_declared_value_only_after_a_command() {
     let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
       {"id": "wheel", "name": "w", "available_control_types": {
          "speed": {"min_value": -10, "max_value": 10, "granularity": 1}}},
@@ -144,7 +144,7 @@ fn a_custom_type_goes_to_what_it_declares_once_a_command_has_driven_it_and_stays
 }
 
 #[test]
-fn when_the_edge_ends_what_runs_is_told_and_no_device_is_moved() {
+fn end_of_the_edge_cancels_running_scripts_and_keeps_positions() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(10);
@@ -155,7 +155,7 @@ fn when_the_edge_ends_what_runs_is_told_and_no_device_is_moved() {
 }
 
 #[test]
-fn a_stop_that_the_hardware_never_confirmed_may_succeed_when_it_is_sent_again() {
+fn unconfirmed_stop_may_succeed_when_it_is_sent_again() {
     let mut bench = driven();
     bench.robot = bench.robot.confirmed_by_its_driver();
     bench.robot.hardware_found(bench.now, &mut bench.out);
@@ -181,7 +181,7 @@ fn a_stop_that_the_hardware_never_confirmed_may_succeed_when_it_is_sent_again() 
 }
 
 #[test]
-fn a_stop_is_not_confirmed_while_it_is_unknown_where_the_devices_are() {
+fn stop_is_not_confirmed_while_the_device_positions_are_unknown() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(10);
@@ -198,7 +198,7 @@ fn a_stop_is_not_confirmed_while_it_is_unknown_where_the_devices_are() {
 }
 
 #[test]
-fn a_reading_is_provided_when_it_comes() {
+fn reading_is_provided_when_it_arrives() {
     let mut bench = ready();
     read(&mut bench, "a");
     let reading = open_reading(&bench);
@@ -213,7 +213,7 @@ fn a_reading_is_provided_when_it_comes() {
 }
 
 #[test]
-fn a_reading_that_does_not_come_fails_and_comes_too_late_afterwards() {
+fn reading_that_does_not_arrive_fails_and_a_later_one_is_ignored() {
     let mut bench = ready();
     read(&mut bench, "a");
     let reading = open_reading(&bench);
@@ -226,7 +226,7 @@ fn a_reading_that_does_not_come_fails_and_comes_too_late_afterwards() {
 }
 
 #[test]
-fn a_sensor_says_how_long_its_readings_may_take() {
+fn sensor_declares_the_maximum_delay_of_its_readings() {
     let block = BLOCK.replace("\"max_value\": 60", "\"max_value\": 60, \"max_delay\": 250");
     let mut bench = driven();
     bench.robot = Robot::driven(serde_json::from_str(&block).unwrap());
@@ -236,7 +236,7 @@ fn a_sensor_says_how_long_its_readings_may_take() {
 }
 
 #[test]
-fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
+fn refused_non_finite_or_interrupted_readings_fail_with_the_reason() {
     let mut bench = ready();
     for (reading, says) in
         [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN), "expected a finite number")]
@@ -265,7 +265,7 @@ fn opens(bench: &mut Bench, link: u64, session: Option<&str>) -> bool {
 }
 
 #[test]
-fn readings_are_open_up_to_a_limit_and_all_of_them_are_answered() {
+fn open_readings_are_limited_and_all_readings_are_answered() {
     let mut bench = ready();
     let opened: Vec<_> =
         (0..5).map(|link| (0..64).filter(|_| opens(&mut bench, link, None)).count()).collect();
@@ -276,7 +276,7 @@ fn readings_are_open_up_to_a_limit_and_all_of_them_are_answered() {
 }
 
 #[test]
-fn strangers_however_many_leave_the_owner_room_for_its_readings() {
+fn any_number_of_strangers_leaves_room_for_readings_of_the_owner() {
     let mut bench = ready();
     bench.send(Message::AvailabilityRequest(AvailabilityRequest {
         session: urrcp::SessionId::new("show").ok(),
@@ -291,7 +291,7 @@ fn strangers_however_many_leave_the_owner_room_for_its_readings() {
 }
 
 #[test]
-fn what_runs_fails_if_its_next_step_is_overdue_for_longer_than_is_borne() {
+fn running_script_fails_if_its_next_step_is_overdue_beyond_tolerance() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &[(0.0, 20.0), (100.0, 30.0)])));
     bench.until(150);
@@ -304,7 +304,7 @@ fn what_runs_fails_if_its_next_step_is_overdue_for_longer_than_is_borne() {
 
 #[cfg(feature = "host")]
 #[test]
-fn what_its_driver_declares_of_latencies_is_in_its_description() {
+fn latencies_declared_by_the_driver_appear_in_the_description() {
     use std::time::Duration;
     let mut bench = ready();
     let id = bench.robot.block().devices[0].id.clone();
@@ -320,7 +320,7 @@ fn what_its_driver_declares_of_latencies_is_in_its_description() {
 }
 
 #[test]
-fn what_is_due_while_the_hardware_is_silent_fails_if_there_was_time_to_ask_it() {
+fn start_on_silent_hardware_fails_if_there_was_time_for_a_ping() {
     let notice = Span::from_millis(200);
     for (lead, expected) in [(200.0, "Failed internal"), (199.0, "Started")] {
         let mut bench = ready();
@@ -342,7 +342,7 @@ fn what_is_due_while_the_hardware_is_silent_fails_if_there_was_time_to_ask_it() 
 }
 
 #[test]
-fn hardware_is_asked_for_its_silence_from_a_second_before_a_start_on() {
+fn hardware_silence_is_checked_from_one_second_before_a_start() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 2_000.0, script(ControlType::Position, &PAPER)));
     let mut asked = |millis| {
@@ -361,7 +361,7 @@ fn hardware_is_asked_for_its_silence_from_a_second_before_a_start_on() {
 }
 
 #[test]
-fn a_sensor_that_may_take_longer_than_a_minute_is_given_up_after_one() {
+fn reading_with_maximum_delay_over_a_minute_fails_after_a_minute() {
     let block = BLOCK.replace("\"max_value\": 60", "\"max_value\": 60, \"max_delay\": 90000");
     let mut bench = driven();
     bench.robot = Robot::driven(serde_json::from_str(&block).unwrap());
@@ -374,7 +374,7 @@ fn a_sensor_that_may_take_longer_than_a_minute_is_given_up_after_one() {
 }
 
 #[test]
-fn a_value_that_came_too_late_to_the_hardware_ends_its_device_and_what_waits_to_be_confirmed() {
+fn value_too_late_for_hardware_fails_unconfirmed_script_of_its_device() {
     let mut bench = driven();
     bench.robot = bench.robot.confirmed_by_its_driver();
     bench.robot.hardware_found(bench.now, &mut bench.out);
@@ -393,7 +393,7 @@ fn a_value_that_came_too_late_to_the_hardware_ends_its_device_and_what_waits_to_
 }
 
 #[test]
-fn a_robot_is_not_idle_while_its_hardware_has_yet_to_confirm_an_end() {
+fn robot_is_not_idle_until_its_hardware_has_confirmed_the_end() {
     let mut bench = driven();
     bench.robot = bench.robot.confirmed_by_its_driver();
     bench.robot.hardware_found(bench.now, &mut bench.out);
@@ -411,7 +411,7 @@ fn a_robot_is_not_idle_while_its_hardware_has_yet_to_confirm_an_end() {
 }
 
 #[test]
-fn a_sensor_without_hardware_reads_what_it_was_given_or_where_its_device_is_or_the_middle() {
+fn reading_without_hardware_is_the_given_value_position_or_middle() {
     let block = r#"{"id": "r", "api_version": "1", "devices": [
       {"id": "arm", "default_value": 3, "available_control_types": {"sensor": {"min_value": -20, "max_value": 60},
          "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},

@@ -46,7 +46,7 @@ fn paper() -> Command {
 }
 
 #[test]
-fn a_script_has_started_with_its_first_value_or_when_the_device_begins_to_move_to_it() {
+fn script_starts_with_its_first_value_or_the_movement_to_it() {
     for (device, started) in [("arm", 1_500), ("ramp", 1_000)] {
         let mut bench = Bench::new();
         bench.request(timed(
@@ -71,7 +71,7 @@ fn a_script_has_started_with_its_first_value_or_when_the_device_begins_to_move_t
 }
 
 #[test]
-fn a_script_that_ends_before_its_first_value_has_begun_and_not_started() {
+fn script_that_ends_before_its_first_value_has_not_started() {
     let mut bench = Bench::new();
     let leased = timed("arm", "a", 100.0, script(ControlType::Position, &[(500.0, 20.0)]));
     bench.request(ControlRequest { stop_condition: lease(5_000.0, 300.0), ..leased });
@@ -84,7 +84,7 @@ fn a_script_that_ends_before_its_first_value_has_begun_and_not_started() {
 }
 
 #[test]
-fn a_request_is_unknown_then_held_then_running_then_ended() {
+fn request_is_unknown_then_held_then_running_then_ended() {
     let mut bench = Bench::new();
     assert_eq!(bench.state("a"), RequestReport::new(names(&["a"]).remove(0), RequestState::Unknown));
     let hashed =
@@ -109,7 +109,7 @@ fn a_request_is_unknown_then_held_then_running_then_ended() {
 }
 
 #[test]
-fn what_has_ended_tells_how_and_when_it_really_started() {
+fn ended_request_is_reported_with_its_outcome_and_actual_start() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "refused", 100.0, script(ControlType::Position, &[(0.0, 91.0)])));
     bench.request(timed("arm", "a", 1_000.0, paper()));
@@ -130,7 +130,7 @@ fn what_has_ended_tells_how_and_when_it_really_started() {
 }
 
 #[test]
-fn a_robot_without_reports_tells_all_the_same() {
+fn robot_without_reports_still_answers_inquiries() {
     let mut bench = Bench::new();
     let block = BLOCK.replace(r#""reports": true"#, r#""reports": false"#);
     bench.robot = Robot::new(serde_json::from_str(&block).unwrap());
@@ -143,7 +143,7 @@ fn a_robot_without_reports_tells_all_the_same() {
 }
 
 #[test]
-fn the_answer_keeps_the_order_of_the_question_and_tells_the_room_of_known_devices() {
+fn response_keeps_the_inquiry_order_and_states_room_of_known_devices() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, paper()));
     bench.until(5);
@@ -160,7 +160,7 @@ fn the_answer_keeps_the_order_of_the_question_and_tells_the_room_of_known_device
 }
 
 #[test]
-fn an_inquiry_renews_the_leases_of_its_party_and_of_no_other() {
+fn inquiry_renews_only_the_leases_of_its_own_party() {
     for (link, values) in [(LINK, 1), (LinkId(2), 0)] {
         let mut bench = Bench::new();
         let mut request = timed("arm", "a", 500.0, script(ControlType::Position, &[(0.0, 45.0)]));
@@ -176,7 +176,7 @@ fn an_inquiry_renews_the_leases_of_its_party_and_of_no_other() {
 }
 
 #[test]
-fn a_pending_lease_is_shortened_for_what_is_named_and_never_lengthened() {
+fn inquiry_shortens_pending_leases_of_named_requests_and_extends_none() {
     let mut bench = Bench::new();
     for (id, start, pending) in [("a", 5_000.0, 2_000.0), ("b", 8_000.0, 100.0)] {
         let request = timed("arm", id, start, script(ControlType::Position, &[(0.0, 45.0)]));
@@ -196,7 +196,7 @@ fn a_pending_lease_is_shortened_for_what_is_named_and_never_lengthened() {
 }
 
 #[test]
-fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_comes() {
+fn pending_lease_ends_at_the_stated_time_however_late_the_inquiry_is() {
     let held = || {
         let mut bench = Bench::new();
         let request = timed("arm", "a", 1_000.0, paper());
@@ -233,7 +233,7 @@ fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_c
 }
 
 #[test]
-fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
+fn request_unconfirmed_by_its_pending_until_never_starts() {
     let requested = |came: i64, pending_until: i64| {
         let mut bench = Bench::new();
         bench.until(came);
@@ -264,7 +264,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
 }
 
 #[test]
-fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one() {
+fn overtaken_inquiry_on_a_connection_does_not_undo_a_later_one() {
     // Two inquiries of the same instant are handled in the order of their arrival.
     for (overtaken_on, first, plays) in [(LINK, 20, true), (LINK, 10, false), (LinkId(9), 20, false)] {
         let mut bench = Bench::new();
@@ -284,7 +284,7 @@ fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one
 }
 
 #[test]
-fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
+fn inquiry_does_not_change_the_lease_of_a_running_script() {
     let mut bench = Bench::new();
     bench.request(ControlRequest {
         stop_condition: lease(9_000.0, 3_000.0),
@@ -297,7 +297,7 @@ fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
 }
 
 #[test]
-fn no_connection_shortens_what_another_one_has_sent() {
+fn inquiry_does_not_shorten_leases_of_another_connection() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, paper()));
     bench.until(10);
@@ -307,7 +307,7 @@ fn no_connection_shortens_what_another_one_has_sent() {
 }
 
 #[test]
-fn to_another_session_nothing_is_told_and_nothing_is_shortened() {
+fn inquiry_of_another_session_gets_no_state_and_shortens_no_lease() {
     let mut bench = Bench::new();
     bench.request(ControlRequest { session: session("show-1"), ..timed("arm", "a", 1_000.0, paper()) });
     for other in [session("show-2"), None] {
@@ -325,7 +325,7 @@ fn to_another_session_nothing_is_told_and_nothing_is_shortened() {
 }
 
 #[test]
-fn an_inquiry_claims_nothing_also_not_for_a_session_that_is_over() {
+fn inquiry_claims_no_robot_even_after_a_session_has_ended() {
     let mut bench = Bench::new();
     bench.inquire(Inquiry { session: session("show-1"), ..Inquiry::default() });
     let claim = |bench: &mut Bench, link, name| {
@@ -354,7 +354,7 @@ fn an_inquiry_claims_nothing_also_not_for_a_session_that_is_over() {
 }
 
 #[test]
-fn hardware_that_is_away_takes_nothing_and_what_it_ended_is_told() {
+fn unavailable_hardware_has_no_room_and_requests_it_ended_are_reported() {
     let mut bench = Bench::new();
     bench.robot = Robot::driven(serde_json::from_str(BLOCK).unwrap());
     bench.robot.hardware_found(bench.now, &mut bench.out);
@@ -367,7 +367,7 @@ fn hardware_that_is_away_takes_nothing_and_what_it_ended_is_told() {
 }
 
 #[test]
-fn a_start_that_sets_nothing_yet_is_no_late_step() {
+fn start_without_a_value_is_not_a_late_step() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(500.0, 45.0), (900.0, 0.0)])));
     bench.now = at(1_030);
@@ -379,7 +379,7 @@ fn a_start_that_sets_nothing_yet_is_no_late_step() {
 }
 
 #[test]
-fn of_a_script_that_the_driver_times_it_is_told_what_the_driver_says() {
+fn state_of_a_driver_timed_script_follows_the_driver_reports() {
     let mut bench = planned::whole("arm");
     bench.request(timed("arm", "a", 1_000.0, paper()));
     bench.until(2_010);
@@ -395,7 +395,7 @@ fn of_a_script_that_the_driver_times_it_is_told_what_the_driver_says() {
 }
 
 #[test]
-fn the_room_of_a_device_is_what_its_queue_still_takes() {
+fn room_of_a_device_is_the_free_space_in_its_queue() {
     let mut bench = Bench::new();
     let devices = vec![DeviceId::new("arm").unwrap()];
     let room = |bench: &mut Bench| {
@@ -410,7 +410,7 @@ fn the_room_of_a_device_is_what_its_queue_still_takes() {
 }
 
 #[test]
-fn the_position_of_a_device_is_stated_where_it_is_known() {
+fn position_of_a_device_is_reported_if_it_is_known() {
     let position = |bench: &mut Bench| {
         let devices = vec![DeviceId::new("arm").unwrap()];
         bench.inquire(Inquiry { devices, ..Inquiry::default() }).devices[0].position
@@ -441,7 +441,7 @@ fn the_position_of_a_device_is_stated_where_it_is_known() {
 }
 
 #[test]
-fn of_a_single_value_it_is_told_as_of_a_script_of_one_step() {
+fn single_value_is_reported_like_a_script_of_one_step() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, Command::Set(Setpoint::new(ControlType::Position, 30.0))));
     let held = bench.state("a");

@@ -25,7 +25,7 @@ fn bench_of(devices: &str, reports: bool) -> Bench {
 }
 
 #[test]
-fn a_set_at_the_start_of_a_held_script_comes_before_it() {
+fn set_at_the_start_of_a_held_script_precedes_the_script() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 1_000.0, set(ControlType::Position, 30.0)));
@@ -35,7 +35,7 @@ fn a_set_at_the_start_of_a_held_script_comes_before_it() {
 }
 
 #[test]
-fn a_set_into_a_script_that_has_begun_overlaps_even_at_its_first_instant() {
+fn set_during_a_started_script_overlaps_even_at_its_first_instant() {
     let mut bench = Bench::new();
     bench.request(at_once("arm", "a", script(ControlType::Position, &PAPER)));
     bench.request(at_once("arm", "b", set(ControlType::Position, 30.0)));
@@ -45,7 +45,7 @@ fn a_set_into_a_script_that_has_begun_overlaps_even_at_its_first_instant() {
 }
 
 #[test]
-fn a_start_at_the_instant_of_receipt_is_in_time_and_one_a_nanosecond_ago_is_late() {
+fn start_at_receipt_is_on_time_and_a_nanosecond_earlier_is_late() {
     let mut bench = Bench::new();
     bench.until(500);
     bench.request(timed("arm", "a", 500.0, set(ControlType::Position, 30.0)));
@@ -55,7 +55,7 @@ fn a_start_at_the_instant_of_receipt_is_in_time_and_one_a_nanosecond_ago_is_late
 }
 
 #[test]
-fn a_set_at_the_end_of_a_script_follows_it() {
+fn set_at_the_end_of_a_script_follows_the_script() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, set(ControlType::Position, 30.0)));
     bench.request(timed("arm", "b", 0.0, script(ControlType::Position, &[(0.0, 1.0), (1_000.0, 2.0)])));
@@ -64,7 +64,7 @@ fn a_set_at_the_end_of_a_script_follows_it() {
 }
 
 #[test]
-fn at_one_instant_a_step_comes_before_the_message_that_would_cancel_it() {
+fn step_precedes_a_simultaneous_message_that_would_cancel_it() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     bench.until(1_500);
@@ -75,7 +75,7 @@ fn at_one_instant_a_step_comes_before_the_message_that_would_cancel_it() {
 }
 
 #[test]
-fn a_robot_that_was_held_up_over_a_start_lets_it_be() {
+fn robot_delayed_beyond_the_start_tolerance_skips_the_start() {
     for (woke, said) in [(1_050, "Started"), (1_051, "Failed late")] {
         let mut bench = Bench::new();
         bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
@@ -87,7 +87,7 @@ fn a_robot_that_was_held_up_over_a_start_lets_it_be() {
 }
 
 #[test]
-fn a_robot_that_was_held_up_beyond_its_lease_does_no_step_that_was_due_before() {
+fn robot_delayed_beyond_its_lease_skips_steps_that_were_due_before() {
     for (woke, set) in [(2_499, vec![(1_000, 45.0), (2_000, 0.0)]), (2_500, vec![(1_000, 45.0)])] {
         let mut bench = Bench::new();
         let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
@@ -104,7 +104,7 @@ fn a_robot_that_was_held_up_beyond_its_lease_does_no_step_that_was_due_before() 
 }
 
 #[test]
-fn what_a_stop_has_overtaken_is_taken_back_when_it_arrives() {
+fn request_overtaken_by_a_stop_is_cancelled_on_arrival() {
     let mut bench = Bench::new();
     let mut stop = at_once("arm", "stop", Command::Script(Script::cancel()));
     stop.timestamp = Some(Timestamp::from_nanos(BEGIN + 5_000_000));
@@ -118,7 +118,7 @@ fn what_a_stop_has_overtaken_is_taken_back_when_it_arrives() {
 }
 
 #[test]
-fn at_one_instant_a_lease_runs_out_before_the_message_that_would_renew_it() {
+fn lease_ends_before_a_simultaneous_message_could_renew_it() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(300.0, 300.0);
@@ -129,7 +129,7 @@ fn at_one_instant_a_lease_runs_out_before_the_message_that_would_renew_it() {
 }
 
 #[test]
-fn a_line_that_is_no_message_renews_no_lease() {
+fn undecodable_line_renews_no_lease() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(300.0, 300.0);
@@ -144,7 +144,7 @@ fn a_line_that_is_no_message_renews_no_lease() {
 }
 
 #[test]
-fn all_movements_of_one_instant_come_before_all_reports() {
+fn all_movements_of_an_instant_precede_all_reports() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("wheel", "b", 1_000.0, set(ControlType::Speed, 5.0)));
@@ -166,7 +166,7 @@ fn steps_keep_their_absolute_deadlines_when_the_driver_wakes_late() {
 }
 
 #[test]
-fn a_start_does_not_take_place_when_the_running_lease_is_over_by_then() {
+fn start_is_skipped_if_the_running_lease_has_ended_by_then() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(5_000.0, 200.0);
@@ -185,7 +185,7 @@ fn with_own_lease(step: usize, own: Option<StopCondition>) -> Command {
 }
 
 #[test]
-fn a_step_is_not_set_when_its_own_lease_is_over_by_then() {
+fn step_is_not_set_if_its_own_lease_has_ended_by_then() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, with_own_lease(1, lease(300.0, 300.0))));
     bench.until(9_000);
@@ -194,7 +194,7 @@ fn a_step_is_not_set_when_its_own_lease_is_over_by_then() {
 }
 
 #[test]
-fn a_steps_own_stop_condition_holds_while_it_is_the_current_one() {
+fn stop_condition_of_a_step_applies_while_the_step_is_current() {
     let mut bench = Bench::new();
     let unlimited = Some(StopCondition { pending: None, running: None });
     let mut request = timed("arm", "a", 100.0, with_own_lease(0, unlimited));
@@ -205,7 +205,7 @@ fn a_steps_own_stop_condition_holds_while_it_is_the_current_one() {
 }
 
 #[test]
-fn a_speed_left_on_stays_under_its_lease_when_a_command_for_another_signal_begins() {
+fn speed_left_on_keeps_its_lease_when_another_signal_is_commanded() {
     let mut bench = Bench::new();
     let mut request = at_once("arm", "a", set(ControlType::Speed, 5.0));
     request.stop_condition = lease(400.0, 400.0);
@@ -222,7 +222,7 @@ fn a_speed_left_on_stays_under_its_lease_when_a_command_for_another_signal_begin
 }
 
 #[test]
-fn a_speed_that_is_set_again_is_under_the_new_lease() {
+fn speed_that_is_set_again_has_the_new_lease() {
     let mut bench = Bench::new();
     let mut request = at_once("wheel", "a", set(ControlType::Speed, 5.0));
     request.stop_condition = lease(400.0, 400.0);
@@ -234,7 +234,7 @@ fn a_speed_that_is_set_again_is_under_the_new_lease() {
 }
 
 #[test]
-fn a_pending_set_that_is_repeated_after_many_other_requests_is_executed_once() {
+fn pending_set_repeated_after_many_other_requests_is_executed_once() {
     let mut bench = Bench::new();
     let held = timed("arm", "held", 5_000.0, set(ControlType::Position, 30.0));
     bench.request(held.clone());
@@ -250,7 +250,7 @@ fn a_pending_set_that_is_repeated_after_many_other_requests_is_executed_once() {
 }
 
 #[test]
-fn an_unsupported_control_type_cancels_what_the_device_held() {
+fn unsupported_control_type_cancels_the_held_commands_of_the_device() {
     let mut bench = Bench::new();
     bench.request(timed("wheel", "a", 100.0, set(ControlType::Speed, 5.0)));
     bench.request(at_once("wheel", "b", set(ControlType::Position, 5.0)));
@@ -258,7 +258,7 @@ fn an_unsupported_control_type_cancels_what_the_device_held() {
 }
 
 #[test]
-fn a_cancel_is_never_late_and_echoes_its_hash() {
+fn cancel_is_never_late_and_echoes_its_hash() {
     let mut bench = Bench::new();
     bench.until(700);
     let mut cancel = timed("arm", "a", 100.0, Command::Script(Script::cancel()));
@@ -269,7 +269,7 @@ fn a_cancel_is_never_late_and_echoes_its_hash() {
 }
 
 #[test]
-fn the_content_hash_is_computed_and_echoed_where_the_request_carries_one() {
+fn content_hash_is_computed_and_echoed_if_the_request_contains_one() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
     request.content_hash = Some(request.command.content_hash());
@@ -296,13 +296,13 @@ fn without_reports_nothing_follows_the_acceptance() {
 }
 
 #[test]
-fn a_position_that_cannot_be_zero_begins_at_the_nearest_it_can_take() {
+fn position_that_cannot_be_zero_begins_at_the_nearest_valid_value() {
     let bench = bench_of(DOOR, true);
     assert_eq!(bench.robot.value("door", ControlType::Position, at(0)), Some(20.0));
 }
 
 #[test]
-fn a_step_at_the_time_of_the_one_before_is_a_jump() {
+fn step_at_the_time_of_the_previous_step_is_a_jump() {
     let mut bench = bench_of(DOOR, true);
     let steps = [(0.0, 30.0), (1_000.0, 40.0), (1_000.0, 60.0)];
     bench.request(timed("door", "a", 0.0, script(ControlType::Position, &steps)));
@@ -313,7 +313,7 @@ fn a_step_at_the_time_of_the_one_before_is_a_jump() {
 }
 
 #[test]
-fn a_linear_device_does_not_ramp_from_one_control_type_to_another() {
+fn linear_device_does_not_ramp_from_one_control_type_to_another() {
     let mut bench = bench_of(DOOR, true);
     let step = |millis, control_type, value| Step {
         offset: Millis::new(millis).unwrap(),
@@ -328,7 +328,7 @@ fn a_linear_device_does_not_ramp_from_one_control_type_to_another() {
 }
 
 #[test]
-fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
+fn availability_response_contains_the_times_of_request_and_robot() {
     let mut bench = Bench::new();
     bench.until(40);
     bench.send(Message::AvailabilityRequest(AvailabilityRequest {
@@ -346,7 +346,7 @@ fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
 }
 
 #[test]
-fn an_initialization_request_is_answered_with_the_block_and_a_robots_own_message_not_at_all() {
+fn initialization_request_gets_the_block_and_a_block_gets_no_response() {
     let mut bench = Bench::new();
     bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
     let block = bench.robot.block().clone();
@@ -358,7 +358,7 @@ fn an_initialization_request_is_answered_with_the_block_and_a_robots_own_message
 }
 
 #[test]
-fn the_wake_ups_of_32_000_devices_are_found_without_asking_each() {
+fn wake_ups_of_32000_devices_are_found_without_checking_each() {
     let device = |i: usize| DOOR.replacen("\"door\"", &format!("\"d{i}\""), 1);
     let devices: Vec<_> = (0..32_000).map(device).collect();
     let mut bench = bench_of(&devices.join(","), true);
@@ -414,7 +414,7 @@ struct Sent {
 
 proptest! {
     #[test]
-    fn no_lease_is_outlived_no_start_is_missed_by_a_nanosecond_and_no_step_is_set_twice(
+    fn no_lease_is_exceeded_no_start_is_missed_and_no_step_is_set_twice(
         moves in prop::collection::vec(any_move(), 0..80),
     ) {
         let mut bench = Bench::new();
@@ -485,7 +485,7 @@ proptest! {
 }
 
 #[test]
-fn a_robot_is_idle_until_it_holds_something_and_once_that_is_over() {
+fn robot_is_idle_unless_it_holds_a_command() {
     let mut bench = Bench::new();
     assert!(bench.robot.is_idle());
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &[(0.0, 20.0), (100.0, 30.0)])));
@@ -495,7 +495,7 @@ fn a_robot_is_idle_until_it_holds_something_and_once_that_is_over() {
 }
 
 #[test]
-fn an_acceleration_of_nothing_slows_nothing_down() {
+fn zero_acceleration_causes_no_gradual_slowdown() {
     let limits = |acceleration: &str| {
         format!(
             r#"{{"id": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {{
@@ -520,7 +520,7 @@ fn an_acceleration_of_nothing_slows_nothing_down() {
 }
 
 #[test]
-fn a_stop_turns_no_wheel_that_no_command_has_driven_whatever_its_default_state() {
+fn stop_without_home_turns_no_undriven_wheel_to_its_default_state() {
     let wheel = r#"{"id": "wheel", "default_value": 8, "available_control_types": {
         "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
         "acceleration": {"min_value": -4, "max_value": 4, "granularity": 1}}}"#;
@@ -549,7 +549,7 @@ fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
 }
 
 #[test]
-fn a_start_may_be_fifty_milliseconds_late_and_counts_as_late_from_one_on() {
+fn start_may_be_50_ms_late_and_counts_as_late_beyond_1_ms() {
     let played = ["Accepted", "Started", "OK"].map(str::to_owned).to_vec();
     assert_eq!(woken_late(1_000_000), (played.clone(), Some(0)));
     assert_eq!(woken_late(1_000_001), (played.clone(), Some(1)));
@@ -558,7 +558,7 @@ fn a_start_may_be_fifty_milliseconds_late_and_counts_as_late_from_one_on() {
 }
 
 #[test]
-fn a_step_counts_as_late_from_a_millisecond_on_and_each_counts() {
+fn step_counts_as_late_beyond_1_ms_and_each_late_step_is_counted() {
     for (nanos, late) in [(1_000_000, 0), (1_000_001, 2)] {
         let mut bench = Bench::new();
         bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
@@ -575,7 +575,7 @@ fn a_step_counts_as_late_from_a_millisecond_on_and_each_counts() {
 }
 
 #[test]
-fn a_device_that_is_stopped_keeps_its_position_and_turns_no_more_and_goes_home_only_if_it_is_told_to() {
+fn stopped_device_holds_position_stops_turning_and_goes_home_on_request() {
     for (home, position) in [(false, 45.0), (true, 10.0)] {
         let mut bench = Bench::new();
         bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
@@ -596,7 +596,7 @@ fn a_device_that_is_stopped_keeps_its_position_and_turns_no_more_and_goes_home_o
 }
 
 #[test]
-fn a_device_comes_to_rest_and_goes_home_within_the_tighter_of_its_own_and_the_operators_limits() {
+fn rest_and_return_home_obey_the_tighter_device_or_operator_limits() {
     let limits = |device: &str, speed, acceleration| {
         [(DeviceId::new(device).unwrap(), MotionLimits { speed, acceleration })].into()
     };
@@ -626,7 +626,7 @@ fn a_device_comes_to_rest_and_goes_home_within_the_tighter_of_its_own_and_the_op
 }
 
 #[test]
-fn a_speed_whose_acceleration_is_nothing_ends_at_once() {
+fn speed_with_zero_acceleration_ends_immediately() {
     let wheel = |most: u32| {
         format!(
             r#"{{"id": "wheel", "available_control_types": {{
@@ -644,7 +644,7 @@ fn a_speed_whose_acceleration_is_nothing_ends_at_once() {
 }
 
 #[test]
-fn a_robot_that_wakes_up_fifty_milliseconds_after_a_start_begins_and_a_nanosecond_later_it_does_not() {
+fn robot_starts_when_woken_50_ms_late_but_not_a_nanosecond_later() {
     for (late, status) in [(Span::from_millis(50), "Started"), (Span::from_nanos(50_000_001), "Failed late")]
     {
         let mut bench = Bench::new();

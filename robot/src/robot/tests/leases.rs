@@ -11,7 +11,7 @@ fn paper() -> Command {
 }
 
 #[test]
-fn the_end_of_a_lease_names_the_lease_and_a_delay_of_the_robot_itself() {
+fn lease_end_error_names_the_lease_and_any_delay_of_the_robot() {
     for (start, lease_of) in [(0.0, "running"), (1_000.0, "pending")] {
         for (woke, why) in [
             (350, "ended: the server was silent"),
@@ -28,7 +28,7 @@ fn the_end_of_a_lease_names_the_lease_and_a_delay_of_the_robot_itself() {
 }
 
 #[test]
-fn the_end_of_a_pending_lease_leaves_the_running_script_alone() {
+fn end_of_a_pending_lease_does_not_affect_the_running_script() {
     let mut bench = Bench::new();
     bench.request(leased("arm", "running", 0.0, paper(), 240.0));
     bench.until(100);
@@ -45,7 +45,7 @@ fn the_end_of_a_pending_lease_leaves_the_running_script_alone() {
 }
 
 #[test]
-fn the_end_of_a_pending_lease_takes_what_starts_later_with_it_and_leaves_what_starts_before() {
+fn end_of_a_pending_lease_cancels_later_starts_and_keeps_earlier_ones() {
     let block = BLOCK.replace(r#""script_queue": 2"#, r#""script_queue": 3"#);
     let mut bench = Bench { robot: Robot::new(serde_json::from_str(&block).unwrap()), ..Bench::new() };
     let bow = || script(ControlType::Position, &[(0.0, 5.0)]);
@@ -60,7 +60,7 @@ fn the_end_of_a_pending_lease_takes_what_starts_later_with_it_and_leaves_what_st
 }
 
 #[test]
-fn a_rate_left_on_goes_on_under_its_own_lease_when_a_pending_one_ends() {
+fn speed_left_on_keeps_its_own_lease_when_a_pending_lease_ends() {
     let mut bench = Bench::new();
     bench.request(leased("wheel", "on", 0.0, script(ControlType::Speed, &[(0.0, 5.0)]), 240.0));
     bench.request(leased("wheel", "next", 9_000.0, script(ControlType::Speed, &[(0.0, 7.0)]), 240.0));
@@ -73,7 +73,7 @@ fn a_rate_left_on_goes_on_under_its_own_lease_when_a_pending_one_ends() {
 }
 
 #[test]
-fn the_end_of_a_pending_lease_moves_nothing() {
+fn end_of_a_pending_lease_moves_nothing() {
     let mut bench = Bench::new();
     bench.request(leased("arm", "done", 0.0, script(ControlType::Position, &[(0.0, 45.0)]), 240.0));
     bench.request(leased("arm", "queued", 3_000.0, paper(), 240.0));
@@ -83,7 +83,7 @@ fn the_end_of_a_pending_lease_moves_nothing() {
 }
 
 #[test]
-fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
+fn end_of_a_running_lease_cancels_pending_scripts() {
     let mut bench = Bench::new();
     let mut running = leased("arm", "running", 0.0, paper(), 240.0);
     running.stop_condition = lease(240.0, 300.0);
@@ -121,7 +121,7 @@ fn reported_after_the_end(device: &str, command: Command, cancels: bool) -> Vec<
 }
 
 #[test]
-fn the_only_report_after_an_end_is_that_of_a_rate_left_on_whose_lease_ends() {
+fn only_the_lease_end_of_a_speed_left_on_is_reported_after_an_end() {
     let speed = |value| script(ControlType::Speed, &[(0.0, value)]);
     let position = script(ControlType::Position, &[(0.0, 45.0)]);
     for (device, command, cancels, expected) in [

@@ -23,7 +23,7 @@ pub(super) fn whole(device: &str) -> Bench {
 }
 
 #[test]
-fn a_robot_whose_driver_times_scripts_does_not_declare_that_it_drops_what_was_not_committed() {
+fn robot_with_driver_timed_scripts_does_not_declare_pending_until() {
     assert!(planned(&[]).robot.block().pending_until);
     assert!(!whole("arm").robot.block().pending_until);
 }
@@ -76,7 +76,7 @@ fn milliseconds(at: Timestamp<urrcp::Robot>) -> f64 {
 }
 
 #[test]
-fn a_whole_script_is_handed_over_when_it_is_accepted_with_absolute_times() {
+fn accepted_script_is_sent_whole_to_driver_with_absolute_times() {
     let mut bench = whole("arm");
     bench.paper();
     let [part] = bench.parts()[..] else { panic!("{:?}", bench.out) };
@@ -90,7 +90,7 @@ fn a_whole_script_is_handed_over_when_it_is_accepted_with_absolute_times() {
 }
 
 #[test]
-fn what_is_reported_is_what_the_driver_says() {
+fn driver_reports_are_forwarded() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
@@ -111,7 +111,7 @@ fn what_is_reported_is_what_the_driver_says() {
 }
 
 #[test]
-fn an_end_that_no_hardware_has_shown_is_unknown_and_steps_that_are_assumed_do_not_count() {
+fn unobserved_end_has_unknown_result_and_assumed_steps_are_not_counted() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
@@ -129,7 +129,7 @@ fn an_end_that_no_hardware_has_shown_is_unknown_and_steps_that_are_assumed_do_no
 }
 
 #[test]
-fn a_script_that_is_withdrawn_before_its_driver_had_to_report_a_start_has_not_begun() {
+fn script_withdrawn_before_a_start_report_is_due_has_not_begun() {
     for (until, steps_done) in [(1_010, Some(0)), (1_800, None)] {
         let mut bench = whole("arm");
         bench.paper();
@@ -149,7 +149,7 @@ fn a_script_that_is_withdrawn_before_its_driver_had_to_report_a_start_has_not_be
 }
 
 #[test]
-fn an_assumed_end_is_unknown_without_an_assumed_start() {
+fn assumed_end_without_assumed_start_has_unknown_result() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_410);
@@ -161,7 +161,7 @@ fn an_assumed_end_is_unknown_without_an_assumed_start() {
 }
 
 #[test]
-fn an_end_that_the_hardware_has_shown_counts_without_an_observed_start() {
+fn observed_end_is_accepted_without_observed_start() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
@@ -173,7 +173,7 @@ fn an_end_that_the_hardware_has_shown_counts_without_an_observed_start() {
 }
 
 #[test]
-fn a_driver_that_assumes_the_start_must_report_the_end() {
+fn driver_that_assumes_the_start_must_report_the_end() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
@@ -186,7 +186,7 @@ fn a_driver_that_assumes_the_start_must_report_the_end() {
 }
 
 #[test]
-fn an_end_that_the_driver_says_early_is_told_when_the_script_is_over() {
+fn end_reported_early_by_driver_is_forwarded_when_script_is_over() {
     let mut bench = whole("arm");
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 5.0), (500.0, 6.0)])));
     bench.until(999);
@@ -201,7 +201,7 @@ fn an_end_that_the_driver_says_early_is_told_when_the_script_is_over() {
 }
 
 #[test]
-fn a_driver_that_never_says_that_it_began_or_ended_leaves_the_script_failed_and_is_told_to_end_it() {
+fn script_without_driver_reports_is_cancelled_and_fails() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_800);
@@ -225,7 +225,7 @@ fn a_driver_that_never_says_that_it_began_or_ended_leaves_the_script_failed_and_
 }
 
 #[test]
-fn an_edge_that_was_held_up_itself_waits_for_reports_that_are_on_their_way() {
+fn stalled_edge_waits_for_reports_in_transit() {
     let mut bench = whole("arm");
     bench.paper();
     bench.now = at(4_900);
@@ -237,7 +237,7 @@ fn an_edge_that_was_held_up_itself_waits_for_reports_that_are_on_their_way() {
 }
 
 #[test]
-fn a_stop_is_confirmed_and_the_end_told_once_the_driver_has_ended_the_script() {
+fn stop_and_end_are_reported_after_the_driver_has_ended_the_script() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_500);
@@ -259,7 +259,7 @@ fn a_stop_is_confirmed_and_the_end_told_once_the_driver_has_ended_the_script() {
 }
 
 #[test]
-fn a_device_that_is_stopped_is_left_where_its_driver_has_it() {
+fn stopped_device_stays_where_its_driver_has_moved_it() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_500);
@@ -270,7 +270,7 @@ fn a_device_that_is_stopped_is_left_where_its_driver_has_it() {
 }
 
 #[test]
-fn hardware_that_goes_away_while_a_script_is_being_ended_leaves_the_stop_unconfirmed() {
+fn hardware_lost_during_cancellation_leaves_stop_unconfirmed() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_500);
@@ -286,7 +286,7 @@ fn hardware_that_goes_away_while_a_script_is_being_ended_leaves_the_stop_unconfi
 }
 
 #[test]
-fn a_script_that_is_withdrawn_before_its_start_is_ended_alone() {
+fn script_withdrawn_before_its_start_is_ended_alone() {
     let mut bench = whole("arm");
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 5.0), (900.0, 6.0)])));
     bench.hears(P1, 0, PlanEvent::Began);
@@ -302,7 +302,7 @@ fn a_script_that_is_withdrawn_before_its_start_is_ended_alone() {
 }
 
 #[test]
-fn a_lease_that_ends_before_the_start_ends_the_script_at_the_driver() {
+fn lease_that_ends_before_the_start_cancels_the_script_at_the_driver() {
     let mut bench = whole("arm");
     let lease = StopCondition { pending: Some(Millis::new(300.0).unwrap()), running: None };
     bench.request(ControlRequest {
@@ -316,7 +316,7 @@ fn a_lease_that_ends_before_the_start_ends_the_script_at_the_driver() {
 }
 
 #[test]
-fn a_failure_that_the_driver_reports_is_told_with_the_step() {
+fn failure_at_the_driver_is_reported_with_its_step() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -333,7 +333,7 @@ fn a_failure_that_the_driver_reports_is_told_with_the_step() {
 }
 
 #[test]
-fn a_failure_behind_the_planned_end_is_told_too() {
+fn failure_after_the_planned_end_is_reported() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -345,7 +345,7 @@ fn a_failure_behind_the_planned_end_is_told_too() {
 }
 
 #[test]
-fn a_script_that_the_driver_refuses_fails_alone() {
+fn script_refused_by_the_driver_fails_alone() {
     let mut bench = whole("arm");
     bench.paper();
     let error = urrcp::ControlError::new(ErrorCode::Internal, "the hardware refused a script of `arm`: no");
@@ -357,7 +357,7 @@ fn a_script_that_the_driver_refuses_fails_alone() {
 }
 
 #[test]
-fn what_a_driver_cannot_truly_say_is_not_reported() {
+fn impossible_driver_reports_are_rejected() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -377,7 +377,7 @@ fn what_a_driver_cannot_truly_say_is_not_reported() {
 }
 
 #[test]
-fn of_a_script_that_is_over_a_driver_may_still_speak() {
+fn driver_report_after_end_of_script_is_ignored() {
     let mut bench = whole("arm");
     bench.paper();
     bench.stop_arm(false);
@@ -388,7 +388,7 @@ fn of_a_script_that_is_over_a_driver_may_still_speak() {
 }
 
 #[test]
-fn a_horizon_hands_over_each_step_that_far_before_the_device_sets_out_for_it() {
+fn each_step_is_handed_over_one_horizon_before_its_movement() {
     let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
     bench.paper();
     assert!(bench.parts().is_empty());
@@ -411,7 +411,7 @@ fn a_horizon_hands_over_each_step_that_far_before_the_device_sets_out_for_it() {
 }
 
 #[test]
-fn an_edge_that_is_held_up_over_a_start_hands_over_nothing_that_is_past() {
+fn edge_stalled_past_a_start_sends_no_past_steps() {
     let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
     bench.paper();
     bench.now = at(1_100);
@@ -421,7 +421,7 @@ fn an_edge_that_is_held_up_over_a_start_hands_over_nothing_that_is_past() {
 }
 
 #[test]
-fn a_whole_script_goes_on_although_the_edge_was_held_up() {
+fn complete_script_continues_although_the_edge_was_delayed() {
     let mut bench = whole("arm");
     bench.paper();
     bench.now = at(2_400);
@@ -432,7 +432,7 @@ fn a_whole_script_goes_on_although_the_edge_was_held_up() {
 }
 
 #[test]
-fn an_edge_that_ends_has_its_driver_end_what_it_has() {
+fn edge_shutdown_cancels_scripts_held_by_driver() {
     let mut bench = whole("arm");
     bench.paper();
     bench.robot.shut_down(bench.now, &mut bench.out);
@@ -440,7 +440,7 @@ fn an_edge_that_ends_has_its_driver_end_what_it_has() {
 }
 
 #[test]
-fn devices_of_one_robot_may_be_timed_by_the_driver_and_by_the_edge() {
+fn driver_and_edge_can_time_different_devices_of_one_robot() {
     let mut bench = whole("arm");
     bench.paper();
     bench.request(timed("wheel", "w", 1_000.0, script(ControlType::Speed, &[(0.0, 3.0)])));
@@ -450,7 +450,7 @@ fn devices_of_one_robot_may_be_timed_by_the_driver_and_by_the_edge() {
 }
 
 #[test]
-fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
+fn inquiry_reports_steps_done_by_driver() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -468,7 +468,7 @@ fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
 }
 
 #[test]
-fn each_step_that_the_driver_says_late_is_counted_once() {
+fn late_step_reported_by_driver_is_counted_once() {
     let mut bench = whole("arm");
     bench.paper();
     // A step that is done a millisecond after its deadline is on time. Repeated reports, and reports after a later step, are ignored.
@@ -495,7 +495,7 @@ const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices"
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
 #[test]
-fn a_device_that_slows_down_is_told_so_and_its_values_follow() {
+fn driver_of_a_slowing_device_is_informed_and_receives_values() {
     let mut bench = Bench { robot: Robot::driven(serde_json::from_str(LIFT).unwrap()), ..Bench::new() };
     let lookahead = BTreeMap::from([(DeviceId::new("arm").unwrap(), Lookahead::Script)]);
     bench.robot.plans_ahead(&lookahead);
@@ -509,7 +509,7 @@ fn a_device_that_slows_down_is_told_so_and_its_values_follow() {
 }
 
 #[test]
-fn times_that_a_driver_names_may_be_off_by_ten_milliseconds() {
+fn times_reported_by_driver_may_be_off_by_ten_milliseconds() {
     let mut bench = whole("arm");
     bench.until(20);
     bench.paper();
@@ -523,7 +523,7 @@ fn times_that_a_driver_names_may_be_off_by_ten_milliseconds() {
 }
 
 #[test]
-fn a_time_that_is_ahead_is_told_as_now() {
+fn event_time_in_the_future_is_reported_as_now() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_000);
@@ -532,7 +532,7 @@ fn a_time_that_is_ahead_is_told_as_now() {
 }
 
 #[test]
-fn what_the_driver_has_done_is_logged_once_with_its_deadline_and_its_time() {
+fn steps_done_by_driver_are_logged_once_with_deadline_and_time() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(3_000);
@@ -548,7 +548,7 @@ fn what_the_driver_has_done_is_logged_once_with_its_deadline_and_its_time() {
 }
 
 #[test]
-fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
+fn script_stopped_by_the_driver_fails_with_the_step() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -561,7 +561,7 @@ fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
 }
 
 #[test]
-fn a_continuation_that_is_refused_ends_what_the_driver_has() {
+fn refused_continuation_cancels_the_script_at_the_driver() {
     let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
     bench.paper();
     bench.until(1_000);
@@ -575,7 +575,7 @@ fn a_continuation_that_is_refused_ends_what_the_driver_has() {
 }
 
 #[test]
-fn a_continuation_that_is_too_late_ends_the_script_and_one_that_is_nearly_so_does_not() {
+fn continuation_ends_the_script_only_if_it_is_too_late() {
     for (held_up_until, ends) in [(2_250, false), (2_251, true)] {
         let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
         bench.paper();
@@ -589,7 +589,7 @@ fn a_continuation_that_is_too_late_ends_the_script_and_one_that_is_nearly_so_doe
 }
 
 #[test]
-fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
+fn unreported_end_is_unknown_after_hardware_loss() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_100);
@@ -604,7 +604,7 @@ fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
 }
 
 #[test]
-fn close_steps_are_handed_over_a_quarter_of_the_horizon_at_a_time() {
+fn close_steps_are_sent_to_driver_a_quarter_of_the_horizon_at_a_time() {
     let block = BLOCK.replace(r#""max_number_of_steps": 4"#, r#""max_number_of_steps": 20"#);
     let mut bench = Bench { robot: Robot::driven(serde_json::from_str(&block).unwrap()), ..Bench::new() };
     let horizon = Lookahead::Horizon(Span::from_millis(400));
@@ -627,7 +627,7 @@ fn close_steps_are_handed_over_a_quarter_of_the_horizon_at_a_time() {
 }
 
 #[test]
-fn a_driver_has_three_quarters_of_a_second_to_say_that_it_began_and_as_long_to_say_that_it_ended() {
+fn driver_has_750_ms_to_report_the_start_and_750_ms_for_the_end() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_749);
@@ -645,7 +645,7 @@ fn a_driver_has_three_quarters_of_a_second_to_say_that_it_began_and_as_long_to_s
 }
 
 #[test]
-fn an_edge_that_looks_for_a_report_too_late_itself_looks_once_more_and_then_gives_up() {
+fn edge_that_checks_too_late_for_a_report_checks_again_then_gives_up() {
     for (looks_at, gives_up_at) in [(1_850, 1_850), (1_851, 2_601)] {
         let mut bench = whole("arm");
         bench.paper();
@@ -659,7 +659,7 @@ fn an_edge_that_looks_for_a_report_too_late_itself_looks_once_more_and_then_give
 }
 
 #[test]
-fn what_a_driver_says_twice_counts_as_it_was_said_first() {
+fn first_of_duplicate_driver_reports_is_used() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
@@ -675,7 +675,7 @@ fn what_a_driver_says_twice_counts_as_it_was_said_first() {
 }
 
 #[test]
-fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_as_cancelled() {
+fn stop_before_the_driver_reports_the_end_is_reported_as_cancelled() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_000);
@@ -693,7 +693,7 @@ fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_a
 }
 
 #[test]
-fn a_device_without_a_default_value_is_told_to_hold_where_its_driver_has_it() {
+fn stopped_device_without_default_value_holds_at_its_driver() {
     let mut bench = whole("ramp");
     bench.request(timed("ramp", "a", 0.0, script(ControlType::Position, &[(0.0, 5.0), (1_000.0, 80.0)])));
     bench.hears(P1, 0, PlanEvent::Began);
@@ -707,7 +707,7 @@ fn a_device_without_a_default_value_is_told_to_hold_where_its_driver_has_it() {
 }
 
 #[test]
-fn a_speed_that_its_driver_times_goes_to_zero_by_a_value_that_follows() {
+fn driver_timed_speed_goes_to_zero_by_a_following_value() {
     let mut bench = whole("wheel");
     bench.request(timed("wheel", "a", 0.0, script(ControlType::Speed, &[(0.0, 5.0), (1_000.0, 8.0)])));
     bench.hears(P1, 0, PlanEvent::Began);
@@ -721,7 +721,7 @@ fn a_speed_that_its_driver_times_goes_to_zero_by_a_value_that_follows() {
 }
 
 #[test]
-fn a_script_that_fails_before_its_start_is_told_to_have_been_there() {
+fn failure_before_the_start_is_reported_as_such() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(500);
@@ -731,7 +731,7 @@ fn a_script_that_fails_before_its_start_is_told_to_have_been_there() {
 }
 
 #[test]
-fn what_a_driver_says_of_a_script_that_it_was_not_told_yet_counts_for_nothing() {
+fn driver_report_on_a_script_not_yet_sent_is_ignored() {
     let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
     bench.paper();
     bench.until(100);
@@ -741,7 +741,7 @@ fn what_a_driver_says_of_a_script_that_it_was_not_told_yet_counts_for_nothing() 
 }
 
 #[test]
-fn steps_are_named_up_to_the_last_that_was_handed_over() {
+fn driver_can_report_only_steps_that_were_sent_to_it() {
     let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
     bench.paper();
     bench.until(1_000);
@@ -757,7 +757,7 @@ fn steps_are_named_up_to_the_last_that_was_handed_over() {
 
 #[cfg(feature = "host")]
 #[test]
-fn on_a_clock_that_is_ahead_a_script_has_later_times() {
+fn script_times_are_later_on_a_clock_that_is_ahead() {
     let mut bench = whole("arm");
     bench.paper();
     let part = bench.parts()[0].clone();
@@ -772,7 +772,7 @@ fn on_a_clock_that_is_ahead_a_script_has_later_times() {
 }
 
 #[test]
-fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
+fn second_stop_does_not_report_the_end_before_the_driver_does() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_500);
@@ -787,7 +787,7 @@ fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
 }
 
 #[test]
-fn a_robot_is_not_idle_before_its_driver_has_said_that_what_it_has_is_over() {
+fn robot_is_not_idle_until_its_driver_has_reported_the_end() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_000);

@@ -39,7 +39,7 @@ fn anna_plays(other: Proven<'_>) -> Bench {
 }
 
 #[test]
-fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_available() {
+fn seized_robot_stops_playing_before_it_is_reported_available() {
     let mut bench = anna_plays(Some(("operator eva", &SEIZES)));
     assert_eq!(bench.values(), [(100, 45.0), (1_100, 0.0)]);
     bench.out.clear();
@@ -84,7 +84,7 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
 }
 
 #[test]
-fn who_may_not_seize_changes_nothing() {
+fn refused_seizure_changes_nothing() {
     let attempts: [(Proven<'_>, Option<&str>, &str); 4] = [
         (
             Some(("operator bert", &DRIVES)),
@@ -118,7 +118,7 @@ fn who_may_not_seize_changes_nothing() {
 }
 
 #[test]
-fn a_robot_that_is_free_or_ones_own_is_not_moved_by_a_seizure() {
+fn seizing_a_free_or_already_owned_robot_does_not_affect_motion() {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
     bench.send_on(OTHER, seize(Some("eva's")));
@@ -132,7 +132,7 @@ fn a_robot_that_is_free_or_ones_own_is_not_moved_by_a_seizure() {
 }
 
 #[test]
-fn what_one_without_a_session_has_a_free_robot_do_ends_when_it_is_seized() {
+fn seizure_ends_commands_sent_without_a_session() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     bench.until(200);
@@ -143,7 +143,7 @@ fn what_one_without_a_session_has_a_free_robot_do_ends_when_it_is_seized() {
 }
 
 #[test]
-fn the_mission_that_lost_a_robot_does_not_stop_the_one_that_has_it_whatever_its_roles() {
+fn mission_that_lost_robot_cannot_stop_new_owner_whatever_its_roles() {
     let mut bench = Bench::new();
     let all: Vec<Role> = Role::ALL.to_vec();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &all), &mut bench.out);
@@ -168,7 +168,7 @@ const TROLLEY: &str = r#"{"id": "t", "api_version": "1", "reports": true, "devic
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4, "control_types": ["speed"]}}}]}"#;
 
 #[test]
-fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session_begins_from_there() {
+fn seizure_slows_moving_device_and_next_session_starts_from_its_state() {
     let mut bench = Bench::new();
     bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
@@ -194,7 +194,7 @@ fn barred(serial: &str) -> Input {
 }
 
 #[test]
-fn the_commands_of_an_operator_end_when_its_key_becomes_invalid_and_the_robot_is_free() {
+fn invalid_key_ends_commands_of_its_operator_and_frees_robot() {
     let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
     bench.out.clear();
     bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator anna"), &mut bench.out);
@@ -210,7 +210,7 @@ fn the_commands_of_an_operator_end_when_its_key_becomes_invalid_and_the_robot_is
 }
 
 #[test]
-fn another_operator_keeps_the_robot_when_a_key_becomes_invalid() {
+fn owner_keeps_robot_when_key_of_another_operator_becomes_invalid() {
     let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
     bench.robot.handle(bench.now, LinkId(u64::MAX), barred("operator bert"), &mut bench.out);
     bench.send_on(LINK, hello("anna's"));
@@ -220,7 +220,7 @@ fn another_operator_keeps_the_robot_when_a_key_becomes_invalid() {
 }
 
 #[test]
-fn a_device_that_an_operator_left_moving_stops_when_its_key_becomes_invalid() {
+fn device_left_moving_stops_when_key_of_its_operator_becomes_invalid() {
     let mut bench = Bench::new();
     bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
@@ -233,7 +233,7 @@ fn a_device_that_an_operator_left_moving_stops_when_its_key_becomes_invalid() {
 }
 
 #[test]
-fn the_commands_of_an_invalid_key_end_also_if_its_link_has_broken_or_names_another_session() {
+fn commands_of_invalid_key_end_even_after_link_loss_or_session_change() {
     let breaks = |bench: &mut Bench| bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
     let names_another = |bench: &mut Bench| bench.send_on(LINK, hello("another"));
     let cases: [&dyn Fn(&mut Bench); 2] = [&breaks, &names_another];
@@ -252,7 +252,7 @@ fn the_commands_of_an_invalid_key_end_also_if_its_link_has_broken_or_names_anoth
 }
 
 #[test]
-fn a_session_that_continues_with_a_new_key_survives_the_end_of_the_old_one() {
+fn session_continued_with_new_key_survives_end_of_old_key() {
     let mut bench = anna_plays(None);
     let renewed = LinkId(3);
     let roles = DRIVES.into_iter().collect();

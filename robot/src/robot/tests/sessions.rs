@@ -38,7 +38,7 @@ impl Bench {
 }
 
 #[test]
-fn a_second_session_is_told_that_the_robot_belongs_to_another_one() {
+fn second_session_is_refused_while_robot_belongs_to_another() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     assert_eq!(bench.last_said(), "1 OK ");
@@ -65,7 +65,7 @@ fn a_second_session_is_told_that_the_robot_belongs_to_another_one() {
 }
 
 #[test]
-fn a_control_request_names_its_session_each_time() {
+fn every_control_request_must_name_its_session() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     let script = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
@@ -76,7 +76,7 @@ fn a_control_request_names_its_session_each_time() {
 }
 
 #[test]
-fn a_robot_without_a_session_obeys_every_server() {
+fn robot_without_session_obeys_every_server() {
     let mut bench = Bench::new();
     for (link, device) in [(LINK, "arm"), (OTHER, "ramp")] {
         let script = timed(device, device, 900.0, script(ControlType::Position, &PAPER));
@@ -86,7 +86,7 @@ fn a_robot_without_a_session_obeys_every_server() {
 }
 
 #[test]
-fn a_reading_claims_nothing() {
+fn sensor_reading_does_not_claim_robot() {
     for (device, command, expected) in [
         ("thermometer", Command::ReadSensor, "1 OK "),
         (
@@ -117,7 +117,7 @@ fn every_device_accepts_an_empty_script() {
 }
 
 #[test]
-fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
+fn strangers_request_for_a_missing_sensor_stops_nothing() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
@@ -130,7 +130,7 @@ fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
 }
 
 #[test]
-fn a_session_that_has_gone_does_not_come_back_with_what_others_hold() {
+fn ended_session_is_not_revived_by_commands_of_others() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
@@ -143,7 +143,7 @@ fn a_session_that_has_gone_does_not_come_back_with_what_others_hold() {
 }
 
 #[test]
-fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
+fn robot_is_free_once_its_session_is_gone_and_no_command_is_held() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
@@ -155,7 +155,7 @@ fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
 }
 
 #[test]
-fn a_session_goes_on_on_another_link() {
+fn session_continues_on_another_link() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(1_000.0, 1_000.0);
@@ -173,7 +173,7 @@ fn a_session_goes_on_on_another_link() {
 }
 
 #[test]
-fn a_refusal_for_another_session_is_not_remembered() {
+fn refusal_due_to_another_session_is_not_remembered() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     let request = timed("arm", "b", 9_000.0, script(ControlType::Position, &PAPER));
@@ -184,7 +184,7 @@ fn a_refusal_for_another_session_is_not_remembered() {
 }
 
 #[test]
-fn a_cancel_leaves_the_device_where_it_is_and_one_that_says_home_does_not() {
+fn cancel_holds_device_in_place_and_cancel_with_home_moves_it_home() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(500);
@@ -208,7 +208,7 @@ const LIMITED: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devic
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4, "control_types": ["speed"]}}}]}"#;
 
 #[test]
-fn where_an_acceleration_is_declared_a_stop_decelerates() {
+fn stop_decelerates_a_device_with_declared_acceleration() {
     let block: InitializationBlock = serde_json::from_str(LIMITED).unwrap();
     let mut bench = Bench { robot: Robot::new(block), ..Bench::new() };
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 0.0), (10_000.0, 80.0)])));
@@ -235,7 +235,7 @@ fn where_an_acceleration_is_declared_a_stop_decelerates() {
 }
 
 #[test]
-fn a_link_that_names_many_sessions_is_remembered_for_the_last_of_them() {
+fn link_that_names_many_sessions_is_remembered_for_the_last_one() {
     let mut bench = Bench::new();
     for i in 0..2_000 {
         bench.send_on(OTHER, hello(&format!("s{i}")));
@@ -248,7 +248,7 @@ fn a_link_that_names_many_sessions_is_remembered_for_the_last_of_them() {
 }
 
 #[test]
-fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
+fn many_strangers_do_not_end_the_lease_of_an_open_link() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(500.0, 500.0);
@@ -266,7 +266,7 @@ fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
 }
 
 #[test]
-fn no_session_renews_the_lease_of_another_however_many_have_been() {
+fn no_session_renews_lease_of_another_even_after_many_sessions() {
     let mut bench = Bench::new();
     // The first session also uses another link, so that it is not forgotten.
     for link in [OTHER, LINK] {
@@ -299,7 +299,7 @@ fn all_said(bench: &Bench) -> String {
 }
 
 #[test]
-fn a_stranger_learns_the_sessions_name_by_no_question() {
+fn no_request_reveals_session_name_to_a_stranger() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("a-secret", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.out.clear();
@@ -333,7 +333,7 @@ fn a_stranger_learns_the_sessions_name_by_no_question() {
 }
 
 #[test]
-fn a_stranger_renews_no_lease_and_diverts_no_report() {
+fn stranger_cannot_renew_a_lease_or_divert_a_report() {
     let mut bench = Bench::new();
     let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
     request.stop_condition = lease(1_000.0, 500.0);
@@ -356,7 +356,7 @@ fn a_stranger_renews_no_lease_and_diverts_no_report() {
 }
 
 #[test]
-fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
+fn session_belongs_to_proven_name_of_its_peer() {
     let mut bench = Bench::new();
     let named = |name: &str| {
         Input::Proven(Proof {
@@ -390,7 +390,7 @@ fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
 }
 
 #[test]
-fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_session() {
+fn stop_with_future_timestamp_does_not_block_next_session() {
     let mut bench = Bench::new();
     let in_an_hour = Some(Timestamp::from_nanos(BEGIN + 3_600_000_000_000));
     let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
@@ -439,7 +439,7 @@ fn check_reach(start_ms: f64, last_ms: f64, lease: Option<StopCondition>, expect
 }
 
 #[test]
-fn one_line_does_not_occupy_a_robot_for_years() {
+fn single_message_cannot_occupy_a_robot_for_years() {
     const HOUR: f64 = 3_600_000.0;
     let short = lease(1_000.0, 1_000.0);
     check_reach(0.9 * HOUR, 0.0, None, "Accepted");
@@ -456,7 +456,7 @@ fn one_line_does_not_occupy_a_robot_for_years() {
 }
 
 #[test]
-fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_its_start() {
+fn command_queued_on_its_device_needs_no_lease_before_its_start() {
     const HOUR: f64 = 3_600_000.0;
     let mut bench = Bench::new();
     let long = script(ControlType::Position, &[(0.0, 45.0), (2.0 * HOUR, 0.0)]);
@@ -477,7 +477,7 @@ pub(super) fn stop_of(device: &str) -> ControlRequest {
 }
 
 #[test]
-fn an_operator_does_what_its_roles_allow_and_nothing_else() {
+fn roles_of_an_operator_determine_permitted_requests() {
     let ask = || {
         Message::AvailabilityRequest(AvailabilityRequest {
             timestamp: None,
@@ -516,7 +516,7 @@ fn an_operator_does_what_its_roles_allow_and_nothing_else() {
 }
 
 #[test]
-fn who_may_stop_stops_the_robot_of_another_session_and_is_named_and_others_do_not() {
+fn only_stop_role_stops_robot_of_another_session_and_operator_is_named() {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &[Role::Drive]), &mut bench.out);
     bench.robot.handle(bench.now, OTHER, operator("operator bert", &[Role::Drive]), &mut bench.out);
@@ -539,7 +539,7 @@ fn who_may_stop_stops_the_robot_of_another_session_and_is_named_and_others_do_no
 }
 
 #[test]
-fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question() {
+fn forbidden_request_gets_response_of_its_kind_with_its_timestamp() {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("anna", &[Role::Seize]), &mut bench.out);
     let timestamp = Some(Timestamp::from_nanos(7));
@@ -581,7 +581,7 @@ fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question(
 }
 
 #[test]
-fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
+fn refusal_lists_actual_and_required_roles() {
     for (roles, expected) in [
         (&[Role::Stop][..], "1 Failed anna has the role stop, but this requires the role drive"),
         (&[], "1 Failed anna has no role, but this requires the role drive"),
@@ -594,7 +594,7 @@ fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
 }
 
 #[test]
-fn an_idle_robot_is_free_again_after_five_seconds_of_silence() {
+fn idle_robot_is_free_after_five_seconds_of_silence() {
     for (millis, expected) in
         [(4_999, "2 Failed `r` belongs to another session until that session ends"), (5_000, "2 OK ")]
     {
@@ -607,7 +607,7 @@ fn an_idle_robot_is_free_again_after_five_seconds_of_silence() {
 }
 
 #[test]
-fn an_idle_robot_is_free_at_once_when_the_last_link_of_its_session_is_down() {
+fn idle_robot_is_free_as_soon_as_last_link_of_its_session_is_lost() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     bench.send_on(LinkId(3), hello("first"));
@@ -620,7 +620,7 @@ fn an_idle_robot_is_free_at_once_when_the_last_link_of_its_session_is_down() {
 }
 
 #[test]
-fn who_names_no_session_is_told_that_a_robot_of_another_one_is_there() {
+fn availability_request_without_session_succeeds_on_an_owned_robot() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
@@ -629,7 +629,7 @@ fn who_names_no_session_is_told_that_a_robot_of_another_one_is_there() {
 
 #[cfg(feature = "host")]
 #[test]
-fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own() {
+fn every_change_of_the_owner_session_has_a_distinct_number() {
     let mut bench = Bench::new();
     let mut seen = vec![bench.robot.last_claimant().0];
     for session in ["first", "second"] {
@@ -647,7 +647,7 @@ fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own()
 }
 
 #[test]
-fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
+fn observe_role_can_read_sensors_and_stop_role_cannot() {
     let expected = "1 Failed anna has the role stop, but this requires the role observe or drive";
     for (role, expected) in
         [(Role::Observe, "1 Provide "), (Role::Drive, "1 Provide "), (Role::Stop, expected)]
@@ -661,7 +661,7 @@ fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
 }
 
 #[test]
-fn what_an_operator_may_ask_without_and_with_a_session() {
+fn roles_determine_inquiries_permitted_with_and_without_session() {
     for (role, asks, asks_for_its_session) in
         [(Role::Observe, true, false), (Role::Drive, true, true), (Role::Stop, false, false)]
     {
@@ -678,7 +678,7 @@ fn what_an_operator_may_ask_without_and_with_a_session() {
 }
 
 #[test]
-fn a_request_whose_hash_was_computed_elsewhere_takes_the_same_roles_as_any_other() {
+fn request_with_precomputed_hash_requires_the_same_roles() {
     for (role, status) in [(Role::Observe, "Failed forbidden"), (Role::Drive, "Accepted")] {
         let mut bench = Bench::new();
         bench.robot.handle(bench.now, LINK, operator("operator anna", &[role]), &mut bench.out);

@@ -43,7 +43,7 @@ async fn hung_up(tickets: &[Ticket]) -> Vec<usize> {
 }
 
 #[tokio::test]
-async fn of_connections_with_a_place_the_one_that_was_not_heard_for_longest_gives_way() {
+async fn connection_silent_for_longest_loses_its_place_first() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let tickets = tickets(&places, PLACES + 1);
@@ -58,7 +58,7 @@ async fn of_connections_with_a_place_the_one_that_was_not_heard_for_longest_give
 }
 
 #[tokio::test]
-async fn a_connection_that_has_its_place_keeps_it_and_takes_no_second_one() {
+async fn connection_keeps_its_place_and_takes_no_second_one() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let tickets = tickets(&places, PLACES);
@@ -69,7 +69,7 @@ async fn a_connection_that_has_its_place_keeps_it_and_takes_no_second_one() {
 }
 
 #[tokio::test]
-async fn beyond_all_connections_the_oldest_without_a_place_gives_way() {
+async fn oldest_connection_without_a_place_is_closed_for_a_new_one() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let tickets = tickets(&places, CONNECTIONS_MAX);
@@ -81,7 +81,7 @@ async fn beyond_all_connections_the_oldest_without_a_place_gives_way() {
 }
 
 #[tokio::test]
-async fn a_flood_of_established_connections_closes_only_those_of_its_own_network() {
+async fn flood_closes_only_connections_of_its_own_network() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let other = established(&places, &at("198.51.100.1"));
@@ -92,7 +92,7 @@ async fn a_flood_of_established_connections_closes_only_those_of_its_own_network
 }
 
 #[tokio::test]
-async fn an_operator_from_many_hosts_closes_only_its_own_connections() {
+async fn operator_on_many_hosts_closes_only_its_own_connections() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let other = established(&places, &proven("192.0.2.1", "berta", Role::Observe));
@@ -103,7 +103,7 @@ async fn an_operator_from_many_hosts_closes_only_its_own_connections() {
 }
 
 #[tokio::test]
-async fn peers_without_the_role_stop_do_not_take_the_places_of_peers_with_it() {
+async fn connections_of_peers_with_role_stop_are_reserved() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let of = |role, from: usize, count| {
@@ -119,7 +119,7 @@ async fn peers_without_the_role_stop_do_not_take_the_places_of_peers_with_it() {
 }
 
 #[tokio::test]
-async fn established_connections_that_do_not_close_are_not_joined_by_ever_more() {
+async fn number_of_closing_connections_is_limited() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = places(&host);
     let most = 2 * (CONNECTIONS_MAX + STOP_CONNECTIONS_MAX);
@@ -140,7 +140,7 @@ async fn claimed(host: &Host) -> (crate::host::RobotLink, crate::parties::Claima
 }
 
 #[tokio::test]
-async fn a_connection_stands_to_the_robot_as_the_session_that_it_speaks_for() {
+async fn standing_of_a_connection_is_that_of_its_session() {
     use crate::hardware::Standing;
     use crate::parties::Claimant;
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
@@ -156,7 +156,7 @@ async fn a_connection_stands_to_the_robot_as_the_session_that_it_speaks_for() {
 }
 
 #[tokio::test]
-async fn the_places_that_are_kept_for_the_owner_are_for_its_connections_alone() {
+async fn places_reserved_for_the_owner_are_used_only_by_its_connections() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let places = Places::new(host.handle(), 0, Duration::from_secs(3_600)).unwrap();
     let (_link, owner) = claimed(&host).await;

@@ -35,7 +35,7 @@ async fn ended(stream: &mut TcpStream) {
 }
 
 #[tokio::test]
-async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
+async fn data_altered_in_transit_ends_the_connection_and_is_counted() {
     let (host, address, held) = sealed(PATIENT).await;
     for (altered, count) in [(&b""[..], 0), (b"\0\0\0\x01sixteen of a code.", 1), (b"\0\0\0\0", 2)] {
         let mut stream = TcpStream::connect(address).await.unwrap();
@@ -53,7 +53,7 @@ async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
 }
 
 #[tokio::test]
-async fn who_proves_nothing_is_hung_up_on_and_counted() {
+async fn peer_without_proof_is_disconnected_and_counted() {
     let patience = Patience { first_message: Duration::from_millis(500), ..PATIENT };
     let (host, address, held) = sealed(patience).await;
     let other = Held { pass: Secret::generate().unwrap().pass(&held.claim), ..held };
@@ -70,7 +70,7 @@ async fn who_proves_nothing_is_hung_up_on_and_counted() {
 const CLAIM: &[u8] = b"{\"availability_request\":{\"session\":\"s\"}}\n";
 
 #[tokio::test]
-async fn an_open_connection_is_closed_when_its_pass_is_revoked() {
+async fn open_connection_is_closed_when_its_pass_is_revoked() {
     let path = std::env::temp_dir().join(format!("downbeat-door-{}", std::process::id()));
     std::fs::write(&path, "# none\n# end\n").unwrap();
     let list = RevokedSerials::in_file(&path).unwrap();
@@ -92,7 +92,7 @@ async fn an_open_connection_is_closed_when_its_pass_is_revoked() {
 
 #[tokio::test]
 #[expect(clippy::disallowed_methods, reason = "passes are valid by the calendar")]
-async fn an_open_connection_is_closed_when_its_pass_expires() {
+async fn open_connection_is_closed_when_its_pass_expires() {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
     let expires = i64::try_from(now).unwrap() + 5;
     let (host, address, held) = sealed_until(PATIENT, expires, None).await;
@@ -104,7 +104,7 @@ async fn an_open_connection_is_closed_when_its_pass_expires() {
 }
 
 #[tokio::test]
-async fn a_key_that_is_revoked_while_its_owner_proves_it_is_not_admitted() {
+async fn key_revoked_during_its_proof_is_not_admitted() {
     let path = std::env::temp_dir().join(format!("downbeat-proving-{}", std::process::id()));
     std::fs::write(&path, "# none\n# end\n").unwrap();
     let list = RevokedSerials::in_file(&path).unwrap();
@@ -133,7 +133,7 @@ async fn a_key_that_is_revoked_while_its_owner_proves_it_is_not_admitted() {
 
 /// A peer whose messages take long to arrive still has time for its handshake.
 #[tokio::test]
-async fn a_slow_handshake_is_completed_while_many_other_connections_are_opened() {
+async fn slow_handshake_completes_while_many_connections_open() {
     let (_host, address, held) = sealed(PATIENT).await;
     let (near, mut far) = tokio::io::duplex(64 * 1024);
     let mut slow = TcpStream::connect(address).await.unwrap();

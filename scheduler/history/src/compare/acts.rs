@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_changes_the_hash_is_listed() {
+    fn every_change_of_the_hash_is_listed() {
         let act = |change: fn(&mut Act)| check(|b| change(&mut b.acts[0]), true);
         check(|b| b.scenario.push('x'), true);
         check(|b| b.acts.swap(0, 1), true);
@@ -458,14 +458,14 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_robots_is_no_difference() {
+    fn order_of_robots_is_not_a_difference() {
         check(|_| {}, false);
         check(|b| b.acts[0].plan.robots.swap(0, 1), false);
         check(|b| b.acts[0].in_space.closest.as_mut().unwrap().robots.reverse(), false);
     }
 
     #[test]
-    fn an_act_is_followed_by_its_name_wherever_that_stands() {
+    fn next_act_is_compared_by_name_regardless_of_position() {
         let (mut a, fleet) = (choreography(), Fleet::default());
         a.acts[0].next = Way::Act(1);
         let mut b = a.clone();

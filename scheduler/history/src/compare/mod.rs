@@ -101,14 +101,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_changed_its_place_is_out_of_order() {
+    fn only_moved_items_are_out_of_order() {
         assert_eq!(out_of_order(&[0, 3, 1, 2]), [false, true, false, false]);
         assert_eq!(out_of_order(&[1, 0]).iter().filter(|moved| **moved).count(), 1);
         assert_eq!(out_of_order(&[]), [] as [bool; 0]);
     }
 
     #[test]
-    fn equal_keys_are_matched_in_their_order() {
+    fn equal_keys_are_matched_in_order() {
         let (a, b) = ([("x", 1), ("x", 2), ("y", 3)], [("z", 4), ("x", 5)]);
         let pairs: Vec<_> =
             matched(&a, &b, |item| item.0).iter().map(|(a, b)| (a.map(|a| a.1), b.map(|b| b.1))).collect();

@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_error_that_is_closer_to_zero_is_better() {
+    fn start_error_closer_to_zero_is_better() {
         let found = runs(&history(2.0, Ended, one()), &history(-0.5, Ended, one()), Span::ZERO);
         let robot = &found.acts[0].robots[0];
         assert_eq!(robot.start_error_ms, Some(Figure { a: Some(2.0), b: Some(-0.5), better: Some(true) }));
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_by_less_than_was_allowed_is_the_same() {
+    fn differences_within_the_tolerance_are_ignored() {
         let (a, b) = (history(2.0, Ended, one()), history(2.5, Ended, one()));
         assert!(runs(&a, &b, Span::from_micros(500)).same);
         assert!(!runs(&a, &b, Span::from_micros(499)).same);
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn other_scripts_and_other_states_are_differences_however_much_is_allowed() {
+    fn different_scripts_or_states_are_differences_at_any_tolerance() {
         let a = history(2.0, Ended, one());
         let found = runs(&a, &history(2.0, Failed, one()), Span::MAX);
         assert_eq!(found.acts[0].robots[0].states[0].states.b, [Failed]);

@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_of_change_is_counted_as_such() {
+    fn each_change_is_counted_by_its_kind() {
         check(&RISE, &[(0, 0.0), (100, 11.0), (200, 20.0), (300, 30.0)], [0, 0, 1, 0, 0]);
         check(&RISE, &[(0, 0.0), (110, 10.0), (200, 20.0), (300, 30.0)], [0, 0, 0, 1, 0]);
         check(&RISE, &[(0, 0.0), (110, 11.0), (200, 20.0), (300, 30.0)], [0, 0, 0, 0, 1]);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_is_later_is_moved_and_not_removed_and_added() {
+    fn later_end_is_a_time_change_and_not_a_removal_and_addition() {
         let found = check(&RISE, &[(0, 0.0), (100, 10.0), (250, 20.0), (350, 30.0)], [0, 0, 0, 2, 0]);
         assert_eq!(found.shifted_by_ms, None);
         let later = RISE.map(|(at, value)| (at + 100, value));
@@ -319,14 +319,14 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_difference_may_be_at_a_step_of_either() {
+    fn largest_difference_may_be_at_a_step_of_either_movement() {
         let (a, b) = (movement(&[(0, 0.0), (100, 100.0)]), movement(&[(0, 0.0), (50, 20.0), (100, 100.0)]));
         let expected = Some(Largest { at_ms: Span::from_millis(50), value: 1, a: 50.0, b: 20.0 });
         assert_eq!(largest(&a, &b), expected);
     }
 
     #[test]
-    fn the_largest_difference_may_be_right_before_a_jump() {
+    fn largest_difference_may_be_immediately_before_a_jump() {
         let mut a = movement(&[(0, 0.0), (100, 50.0)]);
         let mut b = movement(&[(0, 0.0), (100, 60.0)]);
         (a.linear, b.linear) = (false, true);

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn an_act_is_played_only_if_all_that_were_not_left_out_did_all_their_steps() {
+    fn act_is_played_only_if_all_remaining_robots_completed_their_steps() {
         use DeviceState::{Accepted, Ended, Failed, Started, Unknown};
         let fate =
             |robots: &[ActRobot]| Fate::of(Some(&ActReport { robots: robots.to_vec(), ..report("one", 0) }));

@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_of_another_version_is_refused() {
+    fn recording_of_another_version_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("show.mcap");
         let version = |version: u32| [(VERSION_KEY.to_owned(), version.to_string())].into();
@@ -578,7 +578,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_that_was_sent_again_under_another_name_is_planned_once() {
+    fn script_resent_under_another_name_is_planned_once() {
         let mut robot = KnownRobot::new("r".parse().unwrap(), None);
         for name in ["s/1/0/0/0", "s/1/0/0/0+1", "s/1/0/0/0+2"] {
             let request_id = Some(name.parse().unwrap());

@@ -124,7 +124,7 @@ fn near(measured: Span, truth_ms: f64, within_ms: f64) {
 }
 
 #[test]
-fn a_constant_delay_is_found_whatever_the_clock_shows() {
+fn constant_delay_is_measured_at_any_clock_offset_and_drift() {
     for (offset, drift_ppm) in [(0, 0.0), (120, 12.0), (-3_600_000, -80.0)] {
         let offset = Span::from_millis(offset);
         let truth = Truth { there: constant, back: constant, offset, drift_ppm, ..Truth::default() };
@@ -143,7 +143,7 @@ fn a_constant_delay_is_found_whatever_the_clock_shows() {
 /// The tolerance is four standard errors plus the error of the line. The minimum of 400 delays exceeds the true minimum by 8 ms / 400 =
 /// 0.02 ms on average.
 #[test]
-fn quantiles_of_each_way_are_those_of_one_way_and_not_of_half_a_round_trip() {
+fn delay_quantiles_are_of_one_direction_and_not_of_half_round_trips() {
     for seed in 0..20 {
         let offset = Span::from_millis(40);
         let link = Truth { offset, drift_ppm: 25.0, ..Truth::default() }.measured(seed).link.unwrap();
@@ -156,7 +156,7 @@ fn quantiles_of_each_way_are_those_of_one_way_and_not_of_half_a_round_trip() {
 }
 
 #[test]
-fn the_clock_of_a_robot_is_found_with_its_drift() {
+fn offset_and_drift_of_a_robot_clock_are_measured() {
     for (seed, drift_ppm) in (0..).zip([0.0, 12.0, -45.0, 300.0, 2_000.0]) {
         let truth = Truth { offset: Span::from_millis(120), drift_ppm, questions: 1_200, ..Truth::default() };
         let clock = truth.measured(seed).clock.unwrap();
@@ -176,7 +176,7 @@ fn the_clock_of_a_robot_is_found_with_its_drift() {
 /// The number of lost packets is binomially distributed. For 4,000 packets and a loss of 2 %, four standard deviations of the measured
 /// loss are 0.9 percentage points.
 #[test]
-fn losses_are_counted_a_packet_and_are_not_delays() {
+fn losses_are_counted_per_packet_and_not_as_delays() {
     let truth = Truth { loss: 0.02, questions: 2_000, ..Truth::default() };
     let link = truth.measured(3).link.unwrap();
     assert!((link.loss.share - 0.02).abs() < 0.009, "{:?}", link.loss);
@@ -186,7 +186,7 @@ fn losses_are_counted_a_packet_and_are_not_delays() {
 }
 
 #[test]
-fn where_nothing_was_lost_only_a_bound_is_known() {
+fn loss_is_only_bounded_if_no_packet_was_lost() {
     let link = Truth::default().measured(1).link.unwrap();
     assert_eq!((link.loss.lost, link.loss.packets, link.loss.below), (0, 800, Some(3.0 / 800.0)));
     let text = text(&Truth::default());
@@ -195,7 +195,7 @@ fn where_nothing_was_lost_only_a_bound_is_known() {
 }
 
 #[test]
-fn a_pause_in_which_many_questions_wait_is_one_interruption_and_no_loss() {
+fn pause_with_many_waiting_requests_is_one_interruption_and_no_loss() {
     let held = Some((Span::from_millis(10_100), Span::from_millis(3_000)));
     let truth = Truth { held, every: Span::from_millis(50), ..Truth::default() };
     let link = truth.measured(5).link.unwrap();
@@ -207,7 +207,7 @@ fn a_pause_in_which_many_questions_wait_is_one_interruption_and_no_loss() {
 }
 
 #[test]
-fn a_clock_that_is_set_leaves_half_of_each_round_trip() {
+fn delays_are_half_round_trips_if_the_clock_was_set() {
     let truth = Truth { there: constant, back: constant, ..Truth::default() };
     let mut history = truth.history(1);
     for exchange in history.robots[0].exchanges.iter_mut().skip(200) {
@@ -224,7 +224,7 @@ fn a_clock_that_is_set_leaves_half_of_each_round_trip() {
 }
 
 #[test]
-fn losses_are_counted_a_packet_also_where_only_round_trips_are_known() {
+fn losses_are_counted_per_packet_even_if_only_round_trips_are_known() {
     let truth = Truth {
         counts_in: Span::from_millis(1),
         loss: 0.02,
@@ -240,7 +240,7 @@ fn losses_are_counted_a_packet_also_where_only_round_trips_are_known() {
 }
 
 #[test]
-fn every_kind_of_measurement_is_a_world_that_is_read() {
+fn every_kind_of_measurement_yields_a_readable_world() {
     let held = Some((Span::from_millis(10_100), Span::from_millis(3_000)));
     let worlds = [
         Truth { loss: 0.02, ..Truth::default() },
@@ -260,7 +260,7 @@ fn every_kind_of_measurement_is_a_world_that_is_read() {
 }
 
 #[test]
-fn few_exchanges_tell_no_drift() {
+fn few_exchanges_yield_no_drift() {
     let truth = Truth { questions: 5, offset: Span::from_millis(7), ..Truth::default() };
     let clock = truth.measured(2).clock.unwrap();
     assert_eq!(clock.drift, None);
@@ -348,7 +348,7 @@ devices:
 ";
 
 #[test]
-fn a_world_file_says_what_was_measured_and_how() {
+fn world_file_states_measurements_and_their_method() {
     let truth = Truth {
         there: constant,
         back: constant,
@@ -388,7 +388,7 @@ incidents:
 }
 
 #[test]
-fn names_cannot_leave_their_comments_or_keys() {
+fn names_are_escaped_in_comments_and_keys() {
     let mut history = Truth::default().history(1);
     history.scenario = Some("a\nb: {".to_owned());
     let text = text_of(&history, "x\ny.mcap");
@@ -397,7 +397,7 @@ fn names_cannot_leave_their_comments_or_keys() {
 }
 
 #[test]
-fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_not_be() {
+fn ntp_clock_has_the_detected_error_or_the_detection_limit() {
     let ntp = |offset| {
         let truth =
             Truth { there: constant, back: constant, offset: Span::from_millis(offset), ..Truth::default() };
@@ -422,7 +422,7 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
 /// The recording covers 5 s of fast exchanges, as on one host. The system delays some of them, so the line that fits best has a drift
 /// although the clock has none.
 #[test]
-fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recording_best() {
+fn best_fit_drift_of_a_short_recording_implies_no_clock_error() {
     let quick = |rng: &mut Rng| 0.02 + 0.1 / (rng.f64() + 0.07);
     for seed in 0..50 {
         let every = Span::from_millis(70);
@@ -433,7 +433,7 @@ fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recordi
 }
 
 #[test]
-fn where_nothing_was_measured_there_is_no_world() {
+fn no_world_is_created_without_measurements() {
     let mut history = History::default();
     history.robots.push(KnownRobot::new("r".parse().unwrap(), None));
     assert_eq!(Measured::of(&history).unwrap_err(), NothingMeasured::Journal);

@@ -200,7 +200,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_number_is_read_as_it_was_written(numbers in prop::collection::vec(number(), 0..40), trend: bool) {
+        fn every_number_round_trips(numbers in prop::collection::vec(number(), 0..40), trend: bool) {
             let mut columns = Columns::default();
             let order = if trend { Order::Trend } else { Order::Level };
             let column = columns.column(&numbers, order);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn even_steps_take_two_bytes_and_equal_columns_none() {
+    fn evenly_spaced_steps_take_two_bytes_and_equal_columns_take_none() {
         let mut columns = Columns::default();
         let points: Points =
             (0..1_000).map(|step| (f64::from(step) * 20.0, f64::from(step % 7) / 10.0)).collect();

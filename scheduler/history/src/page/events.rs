@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn progress_and_records_read_alike() {
+    fn progress_and_records_have_the_same_text() {
         let sent = Some("act 2 is sent".to_owned());
         let lead = LeadTime { prepare: Span::ZERO, lease: Span::ZERO, margin: Span::ZERO };
         let (act, timestamp, start, skew, slowest) = ("act 2".to_owned(), BEGIN, BEGIN, None, None);

@@ -121,14 +121,14 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_belongs_to_the_column_above_it() {
+    fn value_on_a_boundary_is_counted_in_the_column_above_it() {
         let made = histogram(&[0, 99_999, 100_000, 5_900_000]);
         assert_eq!((made.width, made.counts.len()), (Span::from_nanos(100_000), 60));
         assert_eq!((made.counts[0], made.counts[1], made.counts[59], made.beyond), (2, 1, 1, 0));
     }
 
     #[test]
-    fn one_trial_far_away_leaves_the_others_apart() {
+    fn outlier_does_not_merge_the_columns_of_other_trials() {
         let mut nanos: Vec<i64> = (1..=1_000).map(|trial| trial * 1_000).collect();
         nanos.push(60_000_000_000);
         let made = histogram(&nanos);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_that_all_start_at_once_make_one_column() {
+    fn robots_that_start_simultaneously_make_one_column() {
         assert_eq!(histogram(&[0, 0]), Histogram { width: Span::from_nanos(1), counts: vec![2], beyond: 0 });
     }
 

@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_commitment_has_the_lateness_of_this_machine_for_its_delivery() {
+    fn commitment_delivery_allows_for_the_lateness_of_this_machine() {
         let left = |millis| {
             let timing = timing_on(Leases::Shortened, Span::from_millis(1), Span::from_millis(millis));
             let last_round = timing.critical();
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_sent_before_the_critical_instant_carries_a_lease_that_ends_before_the_start() {
+    fn leases_sent_before_critical_instant_end_before_the_start() {
         for leases in [Leases::Shortened, Leases::Fixed] {
             for round_trip in [Span::from_micros(300), Span::from_millis(8), Span::from_millis(160)] {
                 let timing = timing(leases, round_trip);
@@ -433,13 +433,13 @@ mod tests {
     }
 
     #[test]
-    fn an_early_start_and_three_ways_lie_between_the_leases_and_the_start() {
+    fn margin_before_start_covers_an_early_start_and_three_one_way_delays() {
         let pace = timing(Leases::Shortened, Span::from_millis(8)).pace;
         assert_eq!(pace.margin(), Span::from_millis(1 + 12));
     }
 
     #[test]
-    fn robots_that_still_play_hear_something_two_round_trips_before_their_lease_ends() {
+    fn playing_robots_receive_a_message_two_round_trips_before_lease_end() {
         let mut timing = timing(Leases::Shortened, Span::from_millis(160));
         let last_round = Timestamp::from_nanos(5_000_000_000);
         assert_eq!(timing.speak_by(last_round), None);
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_is_not_allowed_for_where_robots_that_still_play_would_lose_their_lease() {
+    fn clock_is_not_allowed_for_if_playing_robots_would_lose_their_lease() {
         let timing = timing(Leases::Shortened, Span::from_millis(8));
         let early = Span::from_millis(60);
         let allows = |played: Option<i64>| {
@@ -461,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_wait_is_not_sent_while_robots_start() {
+    fn deferrable_messages_are_not_sent_while_robots_start() {
         let millis = Span::from_millis;
         for (round_trip, before) in [(millis(2), millis(3)), (millis(160), millis(5))] {
             let timing = timing(Leases::Shortened, round_trip);
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_fast_link_doubt_is_short_and_a_fixed_lease_makes_it_long() {
+    fn doubt_is_short_on_a_fast_link_and_long_with_a_fixed_lease() {
         let round_trip = Span::from_micros(300);
         assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(70));
         assert!(timing(Leases::Fixed, round_trip).doubt() > Span::from_millis(240));
@@ -492,7 +492,7 @@ mod tests {
     }
 
     #[test]
-    fn a_round_takes_longer_the_more_robots_and_scripts_there_are() {
+    fn round_takes_longer_with_more_robots_and_scripts() {
         assert_eq!(measured(1_000, 500, 1).round(), Span::from_millis(26));
         let lease = Span::from_millis(240);
         assert_eq!(Pace::of(&measured(1_000, 500, 1), lease).period, Span::from_millis(26));
@@ -504,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_asked_several_questions_a_round_is_asked_less_often_up_to_a_bound() {
+    fn more_requests_per_round_lengthen_the_period_up_to_a_bound() {
         let period = |questions, round_trip| {
             let measured =
                 Measured { round_trip: Span::from_millis(round_trip), ..measured(6, 6, questions) };
@@ -516,7 +516,7 @@ mod tests {
     }
 
     #[test]
-    fn the_instants_of_an_act_by_an_example() {
+    fn instants_of_an_example_act() {
         let timing = timing(Leases::Shortened, Span::from_millis(8));
         let after = |at: Timestamp<Server>| at - timing.timestamp;
         let micros = Span::from_micros;
@@ -541,7 +541,7 @@ mod tests {
     }
 
     #[test]
-    fn rounds_come_closer_to_each_other_and_the_last_one_is_a_period_before_the_critical_instant() {
+    fn rounds_get_closer_and_end_one_period_before_the_critical_instant() {
         let timing = timing(Leases::Shortened, Span::from_millis(8));
         let next = |at: Timestamp<Server>| timing.round_after(at) - at;
         let (last, period) = (timing.critical() - timing.pace.period, timing.pace.period);
@@ -554,7 +554,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_passes_after_the_critical_instant_while_there_is_time_for_the_commitment_behind_it() {
+    fn message_is_sent_after_critical_instant_while_commitment_still_fits() {
         for leases in [Leases::Shortened, Leases::Fixed] {
             let timing = timing(leases, Span::from_millis(8));
             let last = timing.brink() - Span::from_millis(16);
@@ -566,7 +566,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_is_allowed_for_while_two_rounds_are_left_and_the_lease_can_carry_it() {
+    fn clock_is_allowed_for_while_two_rounds_remain_and_the_lease_suffices() {
         let before = timing(Leases::Shortened, Span::from_millis(8));
         let (early, late) = (Span::from_millis(20), Span::from_millis(30));
         let mut widened = before.clone();

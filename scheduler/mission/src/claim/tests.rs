@@ -41,7 +41,7 @@ fn check(told: Told, says: &str) {
 }
 
 #[test]
-fn what_a_robot_says_that_plays_well_can_be() {
+fn reports_of_a_correctly_playing_robot_are_accepted() {
     holds(told(Status::Accepted, 10, None, None, None));
     holds(told(Status::Started, 902, Some(1_000), None, None));
     holds(told(Status::Ok, 1_302, Some(1_400), Some(3), Some(0)));
@@ -50,7 +50,7 @@ fn what_a_robot_says_that_plays_well_can_be() {
 }
 
 #[test]
-fn what_has_begun_or_done_a_step_says_that_it_moved() {
+fn report_of_a_start_or_of_a_completed_step_implies_movement() {
     let moved = |status, steps| told(status, 1_302, None, steps, None).says_that_it_moved();
     assert!(moved(Status::Started, None) && moved(Status::Failed, Some(1)) && moved(Status::Failed, Some(3)));
     assert!(
@@ -59,7 +59,7 @@ fn what_has_begun_or_done_a_step_says_that_it_moved() {
 }
 
 #[test]
-fn a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer() {
+fn script_cannot_have_more_steps_than_sent_nor_end_with_fewer() {
     check(told(Status::Ok, 1_302, Some(1_400), Some(u32::MAX), None), "4294967295 steps done, of 3 planned");
     check(told(Status::Failed, 1_302, Some(1_400), Some(4), None), "4 steps done, of 3 planned");
     check(told(Status::Ok, 1_302, Some(1_400), Some(2), None), "completed with 2 steps done, of 3");
@@ -67,7 +67,7 @@ fn a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer() {
 }
 
 #[test]
-fn steps_that_are_done_stay_done_but_an_older_answer_may_come_later() {
+fn number_of_completed_steps_decreases_only_in_an_older_answer() {
     let before = |millis: i64| Possible { before: Some((by_robot(at(millis)), 2)), ..POSSIBLE() };
     let fewer = told(Status::Failed, 1_100, Some(1_200), Some(1), None);
     assert_eq!(before(1_150).contradicts(&fewer), Some(Claim::FewerSteps { claimed: 1, before: 2 }));
@@ -75,7 +75,7 @@ fn steps_that_are_done_stay_done_but_an_older_answer_may_come_later() {
 }
 
 #[test]
-fn a_start_lies_between_the_sending_and_its_report() {
+fn start_must_be_between_the_sending_and_its_report() {
     check(told(Status::Started, 902, Some(-50), None, None), "started 125 ms before the script was sent");
     holds(told(Status::Started, 902, Some(90), None, None));
     check(told(Status::Started, 902, Some(1_100), None, None), "the reported time is 73 ms in the future");
@@ -87,7 +87,7 @@ fn a_start_lies_between_the_sending_and_its_report() {
 }
 
 #[test]
-fn an_end_is_not_reported_before_the_script_can_have_ended() {
+fn end_cannot_be_reported_before_the_script_can_have_ended() {
     check(told(Status::Ok, 902, Some(1_000), Some(3), None), "completed 330 ms earlier than possible");
     check(told(Status::Ok, 1_000, None, Some(3), None), "completed 225 ms earlier than possible");
     holds(told(Status::Ok, 1_240, Some(1_335), Some(3), None));
@@ -95,7 +95,7 @@ fn an_end_is_not_reported_before_the_script_can_have_ended() {
 }
 
 #[test]
-fn a_report_that_was_asked_for_is_held_against_the_same() {
+fn requested_report_is_checked_against_the_same_limits() {
     let id = RequestId::new("id").unwrap();
     let running = report(&id, RequestState::Running, None);
     let says = |report: &RequestReport, arrives| {

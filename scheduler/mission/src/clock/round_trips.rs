@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn one_pause_of_two_seconds_among_fast_exchanges_does_not_count() {
+    fn single_pause_of_two_seconds_among_fast_exchanges_is_ignored() {
         for slow in 0..100 {
             let delays = (0..100).map(|k| if k == slow { 2_000 } else { 1 });
             let mut trips = RoundTrips::default();
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_was_asked_during_one_pause_counts_as_one() {
+    fn all_requests_during_one_pause_are_counted_as_one() {
         let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
         let pause_ends = at + millis(2_000);
         for k in 0..19 {
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_counts_as_one_also_where_it_began_under_a_question_that_is_answered() {
+    fn pause_that_began_during_an_answered_request_is_counted_once() {
         let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
         // Asked before and after the last answer came. Both are answered when the pause ends.
         let pause_ends = at + millis(2_000);
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_answer_to_one_slow_question_is_no_second_slow_moment() {
+    fn second_answer_to_a_slow_request_is_not_a_second_slow_moment() {
         let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
         trips.add(at + millis(500), millis(400));
         trips.add(at + millis(510), millis(1));
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn two_questions_under_way_over_one_pause_are_one_moment_however_often_they_are_answered() {
+    fn requests_spanning_one_pause_are_one_moment_however_often_answered() {
         let mut trips = RoundTrips::default();
         let exchanges = [
             (21, 42),
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_is_one_moment_in_whichever_order_its_questions_are_answered() {
+    fn pause_is_one_moment_regardless_of_the_order_of_answers() {
         // One question is under way when the pause begins, and others follow until it ends.
         let sent = [331, 411, 491, 621, 826];
         for first in 0..sent.len() {
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_is_always_slow_is_known_as_slow_from_the_first_exchange_on() {
+    fn consistently_slow_link_is_known_as_slow_from_the_first_exchange() {
         for count in 1..200 {
             let (trips, _) = after(millis(100), (0..count).map(|k| 79 + k % 3));
             assert!((millis(79)..=millis(81)).contains(&trips.high()), "{count}: {trips:?}");
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_turns_slow_is_noticed_within_three_exchanges() {
+    fn link_that_becomes_slow_is_detected_within_three_exchanges() {
         for before in 0..200 {
             let (trips, _) = after(millis(100), std::iter::repeat_n(1, before).chain([80, 80, 80]));
             assert_eq!(trips.high(), millis(80), "after {before}");
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_left_the_window_counts_no_more() {
+    fn exchanges_outside_the_window_are_ignored() {
         // On a rarely used link, the window is the last three exchanges.
         let (mut trips, at) = after(millis(2_100), (0..40).map(|k| if k < 20 { 1 } else { 2_000 }));
         assert_eq!(trips.high(), millis(2_000));
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn on_an_uneven_link_at_most_two_of_the_window_took_longer() {
+    fn at_most_two_exchanges_in_the_window_take_longer_on_an_uneven_link() {
         let mut rng = fastrand::Rng::with_seed(1);
         for count in 3..200 {
             let (trips, _) = after(millis(100), (0..count).map(|_| rng.i64(1..80)));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_known_after_every_exchange() {
+    fn high_delay_is_current_after_every_exchange() {
         let mut rng = fastrand::Rng::with_seed(2);
         for longest in [2, 10, 1_000] {
             let (mut trips, mut at) = (RoundTrips::default(), Timestamp::from_nanos(0));
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn of_many_exchanges_two_outliers_are_left_out_and_of_few_one() {
+    fn two_outliers_are_excluded_among_many_exchanges_and_one_among_few() {
         for (count, high) in [(EXCHANGES_MANY - 1, 90), (EXCHANGES_MANY, 1)] {
             let delays = (0..count).map(|k| [100, 90].get(k).copied().unwrap_or(1));
             assert_eq!(after(millis(200), delays).0.high(), millis(high), "{count}");
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn of_exchanges_that_were_under_way_at_once_the_longest_counts() {
+    fn longest_of_overlapping_exchanges_is_counted() {
         let mut trips = RoundTrips::default();
         for (sent, at) in [(0, 10), (100, 120), (105, 165), (106, 130)] {
             trips.add(Timestamp::from_nanos(0) + millis(at), millis(at - sent));

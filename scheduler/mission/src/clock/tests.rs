@@ -45,7 +45,7 @@ fn at(seconds: f64) -> Timestamp<Server> {
 }
 
 #[test]
-fn an_exchange_tells_the_offset_half_way_its_bounds_and_the_delay_without_the_robots_own_time() {
+fn exchange_yields_midpoint_offset_and_delay_without_processing_time() {
     let robot = |nanos: i64| Timestamp::<Robot>::from_nanos(1_000_000_000 + nanos);
     // The question takes 300 us, the robot 50 us, the answer 100 us; the robot's clock is 7 ms ahead.
     let received = at(1.0) + Span::from_nanos(450_000);
@@ -58,7 +58,7 @@ fn an_exchange_tells_the_offset_half_way_its_bounds_and_the_delay_without_the_ro
 }
 
 #[test]
-fn the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift() {
+fn true_offset_is_within_the_uncertainty_at_any_delay_and_drift() {
     let mut rng = fastrand::Rng::with_seed(7);
     for seed in 0..2_000 {
         let (offset, rate) = (rng.f64() - 0.5, (rng.f64() * 2.0 - 1.0) * DRIFT_BOUND);
@@ -81,7 +81,7 @@ fn the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift
 }
 
 #[test]
-fn a_drift_that_wanders_is_followed_for_hours() {
+fn wandering_drift_is_tracked_for_hours() {
     for seed in 0..20 {
         let mean = (seed as f64 - 10.0) * 8e-6;
         // The rate swings by half the wander either way in a quarter of an hour.
@@ -104,7 +104,7 @@ fn a_drift_that_wanders_is_followed_for_hours() {
 }
 
 #[test]
-fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
+fn drift_that_changes_over_hours_is_that_of_the_last_hour() {
     // The drift changes as on a machine that warms up: by 10 ppm per hour.
     let offset = |t: f64| -20e-6 * t + 10e-6 / 3_600.0 * t * t / 2.0;
     let mut path = Path::new(11, (2_000_000, 6_000_000), offset);
@@ -120,7 +120,7 @@ fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
 }
 
 #[test]
-fn least_delays_each_way_need_not_meet_in_one_exchange() {
+fn minimum_delays_per_direction_may_be_of_different_exchanges() {
     let mut estimate = ClockEstimate::default();
     let millis = |m: i64| Timestamp::<Server>::from_nanos(m * 1_000_000 + 1);
     let robot = |m: i64| Timestamp::<Robot>::from_nanos((m + 250) * 1_000_000 + 1);
@@ -134,7 +134,7 @@ fn least_delays_each_way_need_not_meet_in_one_exchange() {
 }
 
 #[test]
-fn a_pause_counts_as_the_longest_round_trip_but_not_as_what_round_trips_take() {
+fn pause_affects_the_maximum_round_trip_and_not_the_typical_one() {
     let mut estimate = ClockEstimate::default();
     for k in 0..50 {
         let sent = at(f64::from(k) * 3.0);
@@ -148,7 +148,7 @@ fn a_pause_counts_as_the_longest_round_trip_but_not_as_what_round_trips_take() {
 }
 
 #[test]
-fn a_right_clock_behind_an_uneven_link_is_not_blamed() {
+fn correct_clock_behind_an_uneven_link_is_not_suspected() {
     let exchange = |off: Span, there: i64, back: i64| {
         let sent = at(10.0);
         let robot = sent.assume_clock() + off + Span::from_micros(there * 1_000 + 1);
@@ -165,7 +165,7 @@ fn a_right_clock_behind_an_uneven_link_is_not_blamed() {
 }
 
 #[test]
-fn a_step_is_recognised_once_and_the_new_offset_found() {
+fn step_is_detected_once_and_the_new_offset_is_found() {
     for (seed, step) in [0.05, -0.05, 5.0, -3_600.0].into_iter().enumerate() {
         let offset = move |t: f64| if t < 30.0 { 0.2 } else { 0.2 + step };
         let mut path = Path::new(seed as u64, (10_000_000, 30_000_000), offset);
@@ -180,7 +180,7 @@ fn a_step_is_recognised_once_and_the_new_offset_found() {
 }
 
 #[test]
-fn a_rate_that_changes_within_the_bound_is_no_step() {
+fn rate_change_within_the_bound_is_not_a_step() {
     let offset = |t: f64| if t < 300.0 { 80e-6 * t } else { 80e-6 * 300.0 - 80e-6 * (t - 300.0) };
     let mut path = Path::new(3, (500_000, 900_000), offset);
     let mut estimate = ClockEstimate::default();
@@ -194,7 +194,7 @@ fn a_rate_that_changes_within_the_bound_is_no_step() {
 }
 
 #[test]
-fn a_robot_that_writes_milliseconds_does_not_contradict_itself() {
+fn millisecond_timestamps_of_a_robot_are_not_contradictory() {
     let mut path = Path::new(5, (100_000, 100_000), |_| 0.0123);
     let mut estimate = ClockEstimate::default();
     let whole = |t: Timestamp<Robot>| Timestamp::from_nanos(t.as_nanos() / 1_000_000 * 1_000_000);
@@ -209,7 +209,7 @@ fn a_robot_that_writes_milliseconds_does_not_contradict_itself() {
 }
 
 #[test]
-fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
+fn extreme_timestamps_do_not_overflow() {
     let mut estimate = ClockEstimate::default();
     for (a, b) in [(i64::MAX, i64::MIN), (i64::MIN, i64::MAX), (i64::MIN, i64::MIN), (0, 0), (1, -1)] {
         let (sent, received) = (Timestamp::from_nanos(b), Timestamp::from_nanos(a));
@@ -220,7 +220,7 @@ fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
 }
 
 #[test]
-fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
+fn kept_bounds_are_as_tight_as_those_of_the_whole_window() {
     for seed in 0..20 {
         // The rate reverses after a quarter of an hour, so that bounds are kept for many rates in turn.
         let offset = |t: f64| if t < 900.0 { 20e-6 * t } else { 20e-6 * (1_800.0 - t) };
@@ -243,7 +243,7 @@ fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
 }
 
 #[test]
-fn a_drift_is_told_once_it_is_known_to_half_its_bound() {
+fn drift_is_reported_once_it_is_known_to_half_its_bound() {
     // The means are known to `half`; the wander is added.
     let told = |half: f64| {
         let means = Rates { least: 10e-6 - half, most: 10e-6 + half };
@@ -256,7 +256,7 @@ fn a_drift_is_told_once_it_is_known_to_half_its_bound() {
 }
 
 #[test]
-fn a_clock_that_may_just_be_right_is_not_blamed() {
+fn clock_at_the_limit_of_uncertainty_is_not_suspected() {
     let micros = Span::from_micros;
     assert_eq!(ClockDoubt::of(micros(5), micros(5)), ClockDoubt::Path);
     assert_eq!(ClockDoubt::of(micros(-6), micros(5)), ClockDoubt::Clock);
@@ -268,7 +268,7 @@ fn remembered(estimate: &ClockEstimate) -> (usize, u32) {
 }
 
 #[test]
-fn what_is_remembered_for_the_drift_grows_coarser_only_when_it_has_no_room_left() {
+fn drift_history_becomes_coarser_only_when_it_is_full() {
     let mut path = Path::new(13, (1_000_000, 1_000_000), |_| 0.2);
     let mut estimate = ClockEstimate::default();
     for bin in 0..64 {
@@ -282,7 +282,7 @@ fn what_is_remembered_for_the_drift_grows_coarser_only_when_it_has_no_room_left(
 }
 
 #[test]
-fn what_is_remembered_for_the_drift_grows_no_coarser_than_it_has_to_be_for_an_hour() {
+fn drift_history_is_no_coarser_than_one_hour_requires() {
     let mut path = Path::new(17, (1_000_000, 1_000_000), |_| 0.2);
     let mut estimate = ClockEstimate::default();
     let mut most = 0;
@@ -294,7 +294,7 @@ fn what_is_remembered_for_the_drift_grows_no_coarser_than_it_has_to_be_for_an_ho
 }
 
 #[test]
-fn nothing_is_remembered_for_longer_than_an_hour_however_seldom_a_clock_is_asked_for() {
+fn nothing_is_kept_for_more_than_an_hour_even_with_rare_exchanges() {
     let mut path = Path::new(19, (1_000_000, 1_000_000), |_| 0.2);
     let mut estimate = ClockEstimate::default();
     for k in 0..30 {

@@ -133,7 +133,7 @@ impl World for Silent {
 }
 
 #[test]
-fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
+fn robot_that_does_not_read_is_disconnected_and_reason_is_reported() {
     let mut world = Silent::new(1, Filed::AtOnce);
     let report = at_once(drive(&mut mission(), &mut world)).unwrap();
     assert_eq!(world.cut.first(), Some(&LinkNumber(0)));
@@ -143,7 +143,7 @@ fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
 }
 
 #[test]
-fn links_to_all_robots_are_begun_before_anything_happens_on_one_of_them() {
+fn links_to_all_robots_are_opened_before_any_event_on_one_of_them() {
     let mut world = Silent::new(0, Filed::AtOnce);
     world.happens.push_back(Happened::Left);
     at_once(drive(&mut mission_of(&["r", "s", "t"], MissionOptions::default()), &mut world)).unwrap();
@@ -151,7 +151,7 @@ fn links_to_all_robots_are_begun_before_anything_happens_on_one_of_them() {
 }
 
 #[test]
-fn what_happens_on_a_link_that_has_broken_or_been_replaced_is_not_heard() {
+fn events_on_a_broken_or_replaced_link_are_ignored() {
     let mut links = Links::new(1);
     let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: String::new() };
     let up = Event::LinkUp { robot: 0 };
@@ -165,7 +165,7 @@ fn what_happens_on_a_link_that_has_broken_or_been_replaced_is_not_heard() {
 }
 
 #[test]
-fn a_journal_that_takes_nothing_is_told_once_and_stops_the_mission() {
+fn lost_journal_is_reported_once_and_stops_the_mission() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::Lost("full".to_owned()));
     let record = || Record::Decided { number: 0, unnamed: Vec::new(), doubt: Span::ZERO };
@@ -175,7 +175,7 @@ fn a_journal_that_takes_nothing_is_told_once_and_stops_the_mission() {
 }
 
 #[test]
-fn without_a_journal_only_durable_records_are_counted() {
+fn only_durable_records_are_counted_without_a_journal() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::AtOnce);
     let records = [
@@ -196,7 +196,7 @@ fn without_a_journal_only_durable_records_are_counted() {
 }
 
 #[test]
-fn a_stop_is_sent_before_it_is_recorded() {
+fn stop_is_sent_before_it_is_recorded() {
     let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
     let mut world = Silent::new(99, Filed::AtOnce);
     world.once_it_sends = Some(Event::StopRequested { rest: Rest::InPlace, by: None });

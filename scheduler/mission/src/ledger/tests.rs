@@ -93,7 +93,7 @@ fn says(act: &mut Act, script: ScriptRef, status: Status, robots: &[RobotState])
 }
 
 #[test]
-fn whatever_ends_lets_the_next_script_follow_of_whichever_act() {
+fn end_of_a_script_lets_the_next_one_follow_from_any_act() {
     let robots = robots(2);
     let mut acts = [act(0, &[("a", 2)], Open::Yes, &robots), act(1, &[("a", 2)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots), [(0, 0), (0, 1)]);
@@ -105,7 +105,7 @@ fn whatever_ends_lets_the_next_script_follow_of_whichever_act() {
 }
 
 #[test]
-fn nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open() {
+fn no_script_overtakes_a_waiting_one_even_of_an_unopened_act() {
     let robots = robots(4);
     let mut acts =
         [act(0, &[("a", 1), ("b", 1)], Open::No, &robots), act(1, &[("a", 1), ("c", 1)], Open::Yes, &robots)];
@@ -113,7 +113,7 @@ fn nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open() {
 }
 
 #[test]
-fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
+fn at_most_two_long_scripts_are_outstanding_with_a_measured_clock() {
     let mut robots = robots(8);
     for (clock, lease, length, expected) in [
         (ClockMode::Ntp, 2_000, 6_000, 4),
@@ -142,7 +142,7 @@ fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
 }
 
 #[test]
-fn every_device_has_room_of_its_own() {
+fn each_device_has_its_own_queue_space() {
     let robots = robots(1);
     let mut acts = [act(0, &[("a", 2), ("b", 2)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots), [(0, 0), (0, 2)]);
@@ -151,7 +151,7 @@ fn every_device_has_room_of_its_own() {
 }
 
 #[test]
-fn what_a_robot_that_was_left_out_still_has_takes_room_and_it_gets_nothing() {
+fn script_left_on_a_left_out_robot_takes_space_and_no_other_is_sent() {
     let robots = robots(1);
     let mut acts = [act(0, &[("a", 1)], Open::Yes, &robots), act(1, &[("a", 1)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots).len(), 1);
@@ -163,7 +163,7 @@ fn what_a_robot_that_was_left_out_still_has_takes_room_and_it_gets_nothing() {
 }
 
 #[test]
-fn an_act_fits_when_its_first_scripts_find_room_behind_all_that_is_ahead_of_them() {
+fn act_fits_when_its_first_scripts_have_room_behind_all_earlier_ones() {
     let robots = robots(3);
     for (ahead, fit) in [(1, true), (2, true), (3, false), (4, false)] {
         let acts = [act(0, &[("a", ahead)], Open::Yes, &robots), act(1, &[("a", 2)], Open::No, &robots)];
@@ -194,7 +194,7 @@ impl Device {
 
 proptest! {
     #[test]
-    fn the_ledger_does_what_a_line_before_each_device_does(
+    fn ledger_behaves_like_a_queue_for_each_device(
         queue in 1_usize..=4,
         counts in prop::collection::vec((0_usize..5, 0_usize..5, any::<bool>()), 1..4),
         ends_on in prop::collection::vec(any::<bool>(), 0..24),

@@ -122,7 +122,7 @@ fn keys_of<T: DeserializeOwned>() -> BTreeSet<String> {
 }
 
 #[test]
-fn the_schema_of_reports_lists_every_key_and_no_other() {
+fn report_schema_lists_every_key_and_no_other() {
     let schema = schema();
     for (pointer, keys) in [
         ("robot", keys_of::<RobotReport>()),
@@ -144,7 +144,7 @@ fn set(names: &[&str]) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_schema_of_reports_lists_every_kind_and_no_other() {
+fn report_schema_lists_every_kind_and_no_other() {
     let schema = schema();
     for (pointer, variants) in listed_in_schema() {
         let mut listed = BTreeSet::new();
@@ -154,7 +154,7 @@ fn the_schema_of_reports_lists_every_kind_and_no_other() {
 }
 
 #[test]
-fn every_list_of_words_in_the_schema_of_reports_is_compared_with_a_type() {
+fn every_enum_in_the_report_schema_is_compared_with_a_type() {
     fn lists(pointer: &str, schema: &Value, found: &mut Vec<String>) {
         match schema {
             Value::Object(map) => {
@@ -195,14 +195,14 @@ fn column(document: &str, head: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_document_on_recordings_lists_every_decision_and_everything_that_is_told() {
+fn recording_document_lists_every_record_and_progress_kind() {
     let recording = document("recording.md");
     assert_eq!(column(&recording, "| `record` |"), set(Record::VARIANTS), "docs/recording.md");
     assert_eq!(column(&recording, "| `progress` |"), set(Progress::VARIANTS), "docs/recording.md");
 }
 
 #[test]
-fn the_document_on_missions_names_every_outcome_and_what_became_of_scripts_and_acts() {
+fn mission_document_names_every_outcome_script_state_and_act_fate() {
     let mission = document("mission.md");
     let named = [Outcome::VARIANTS, DeviceState::VARIANTS, ActFate::VARIANTS].concat();
     for name in named {

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_host_that_uses_up_a_quarter_of_the_tolerance_is_warned_of_if_it_drives_robots() {
+    fn host_exceeding_a_quarter_of_tolerance_is_warned_if_it_drives_robots() {
         let (median, longest) = (Span::ZERO, Span::from_millis(50));
         let measured =
             |p99| HostWakeUp { median, p99, longest, scheduling: "as it comes".to_owned(), warning: None };

@@ -6,7 +6,7 @@ use super::*;
 use crate::bench::{self, Tells, at, ms, response};
 
 #[test]
-fn an_answer_settles_its_question_and_every_older_one() {
+fn response_settles_its_request_and_all_older_ones() {
     let mut questions = Questions::default();
     [1, 2, 3].into_iter().for_each(|millis| questions.asked(at(millis)));
     assert_eq!(
@@ -25,7 +25,7 @@ fn an_answer_settles_its_question_and_every_older_one() {
 }
 
 #[test]
-fn questions_that_a_later_answer_passes_over_may_have_been_heard() {
+fn requests_skipped_by_a_later_response_may_have_been_received() {
     let mut questions = Questions::default();
     for (asked, answered, passed_over) in
         [(&[1][..], 1, false), (&[2, 4], 4, true), (&[], 2, true), (&[5], 5, false)]
@@ -37,7 +37,7 @@ fn questions_that_a_later_answer_passes_over_may_have_been_heard() {
 }
 
 #[test]
-fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
+fn forgiven_requests_need_no_response_and_answered_ones_stay_answered() {
     let mut questions = Questions::default();
     questions.asked(at(1));
     questions.answer(at(1));
@@ -47,7 +47,7 @@ fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
 }
 
 #[test]
-fn what_is_forgiven_may_have_been_heard_as_long_as_nothing_newer_was_answered() {
+fn forgiven_requests_may_have_been_received_if_the_latest_is_unanswered() {
     for (answered, passed_over) in [(&[3][..], true), (&[2, 3], false), (&[1, 3], true)] {
         let mut questions = Questions::default();
         questions.asked(at(0));
@@ -65,7 +65,7 @@ fn what_is_forgiven_may_have_been_heard_as_long_as_nothing_newer_was_answered() 
 }
 
 #[test]
-fn on_a_link_that_carries_nothing_the_oldest_questions_are_remembered() {
+fn oldest_open_requests_are_kept_on_a_dead_link() {
     let mut questions = Questions::default();
     (0..1_000).for_each(|millis| questions.asked(at(millis)));
     assert_eq!(questions.unanswered(), Some(at(0)));
@@ -95,7 +95,7 @@ fn without_name(device: &str, status: Status, millis: i64) -> ControlResponse {
 }
 
 #[test]
-fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
+fn stop_is_confirmed_when_every_device_has_confirmed_it_by_id() {
     let mut robot = stopped(Rest::Home);
     let confirmed = |robot: &mut RobotState, device: &str, status| {
         let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
@@ -112,7 +112,7 @@ fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
 }
 
 #[test]
-fn an_answer_to_another_request_confirms_no_stop() {
+fn response_to_another_request_confirms_no_stop() {
     let mut robot = stopped(Rest::InPlace);
     let response =
         response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
@@ -121,7 +121,7 @@ fn an_answer_to_another_request_confirms_no_stop() {
 }
 
 #[test]
-fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
+fn response_without_id_confirms_the_stop_of_its_device_only() {
     let mut robot = stopped(Rest::InPlace);
     assert!(robot.stop_answered(at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), |_| false));
     let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
@@ -132,7 +132,7 @@ fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
 }
 
 #[test]
-fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_said_before_the_stop() {
+fn ambiguous_or_too_early_response_without_id_confirms_no_stop() {
     let mut robot = stopped(Rest::InPlace);
     let after = without_name("a", Status::Ok, STOPPED + 1);
     assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
@@ -156,7 +156,7 @@ fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_
 }
 
 #[test]
-fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
+fn response_time_follows_robot_clock_but_is_never_later_than_now() {
     let mut robot = stopped(Rest::InPlace);
     let there = bench::by_robot(at(10)) + ms(5_000);
     robot.clock.add(crate::clock::ClockSample::from_exchange(at(10), there, there, at(10)));
@@ -169,7 +169,7 @@ fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
 }
 
 #[test]
-fn before_a_stop_was_sent_nothing_confirms_one() {
+fn no_response_confirms_a_stop_before_one_is_sent() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     assert!(robot.is_settled(), "it was sent nothing");
     robot.touched.insert("a".parse().unwrap());
@@ -178,7 +178,7 @@ fn before_a_stop_was_sent_nothing_confirms_one() {
 }
 
 #[test]
-fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
+fn connection_attempts_slow_down_until_a_message_is_received() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let pauses: Vec<Span> = (0..10).map(|_| robot.next_attempt()).collect();
     assert_eq!(pauses[..4], [Span::ZERO, ms(10), ms(20), ms(40)]);
@@ -188,7 +188,7 @@ fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
 }
 
 #[test]
-fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_it() {
+fn reconnected_link_counts_as_broken_until_the_first_message() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     robot.questions.asked(at(1));
     let lost = Lost {
@@ -212,7 +212,7 @@ fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_i
 }
 
 #[test]
-fn what_was_sent_shortly_before_or_between_two_instants_may_have_reached_it_there() {
+fn message_sent_in_or_shortly_before_an_interval_may_arrive_in_it() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let spoken = |robot: &RobotState, before, after| {
         robot.was_spoken_to(at(10_000), (bench::by_robot(at(before)), bench::by_robot(at(after))))
@@ -226,7 +226,7 @@ fn what_was_sent_shortly_before_or_between_two_instants_may_have_reached_it_ther
 }
 
 #[test]
-fn silence_counts_from_what_was_last_heard_and_a_question_has_two_thirds_of_the_time() {
+fn silence_limit_runs_from_last_message_and_two_thirds_from_a_request() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let silent = |robot: &RobotState| robot.silent_at(ms(300));
     assert_eq!(silent(&robot), None, "it owes no answer");
@@ -240,7 +240,7 @@ fn silence_counts_from_what_was_last_heard_and_a_question_has_two_thirds_of_the_
 }
 
 #[test]
-fn the_totals_of_a_robot_add_up_over_its_scripts() {
+fn robot_totals_add_up_over_its_scripts() {
     let mut totals = Totals::default();
     let script = |status: Option<Status>, late: u32| {
         let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
@@ -270,7 +270,7 @@ fn the_totals_of_a_robot_add_up_over_its_scripts() {
 }
 
 #[test]
-fn a_robot_is_garbled_once_it_said_what_could_not_be_read() {
+fn robot_is_garbled_after_an_unreadable_message() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let mut fails = |kind| {
         robot.failures.note(crate::Failure { robot: robot.id.clone(), kind });

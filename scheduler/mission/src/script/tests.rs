@@ -84,7 +84,7 @@ fn is_end(news: &News) -> bool {
 }
 
 #[test]
-fn in_every_order_of_answers_an_end_stays_and_is_told_once() {
+fn end_of_a_script_is_final_and_reported_once_in_any_response_order() {
     for one in ANSWERS {
         for two in ANSWERS {
             for three in ANSWERS {
@@ -107,7 +107,7 @@ fn in_every_order_of_answers_an_end_stays_and_is_told_once() {
 }
 
 #[test]
-fn the_usual_course_is_told_step_by_step() {
+fn usual_course_is_reported_step_by_step() {
     let mut script = sent();
     assert!(script.is_out() && !script.was_accepted() && !script.has_begun());
     assert_eq!(take(&mut script, Said::Accepted, 1), News::Accepted);
@@ -122,7 +122,7 @@ fn the_usual_course_is_told_step_by_step() {
 }
 
 #[test]
-fn whatever_is_heard_first_makes_up_for_what_was_lost_before_it() {
+fn any_report_implies_the_lost_reports_before_it() {
     for said in [Said::Started, Said::Running(1), Said::Ok(None), Said::EndedWell(None)] {
         let mut script = sent();
         let _ = take(&mut script, said, 1);
@@ -133,7 +133,7 @@ fn whatever_is_heard_first_makes_up_for_what_was_lost_before_it() {
 }
 
 #[test]
-fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
+fn unknown_script_was_never_received_or_lost_or_queried_too_early() {
     let mut never = sent();
     assert_eq!(take(&mut never, Said::Unknown, 1), News::NeverReceived);
     assert_eq!(*never.state(), ScriptState::Sent);
@@ -152,7 +152,7 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
 }
 
 #[test]
-fn a_script_that_another_process_may_have_sent_is_unaccounted_until_its_robot_has_said() {
+fn script_possibly_sent_by_another_process_is_unaccounted_until_reported() {
     let taken_up = || {
         let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
         script.name(RequestId::new("id").ok());
@@ -169,7 +169,7 @@ fn a_script_that_another_process_may_have_sent_is_unaccounted_until_its_robot_ha
 }
 
 #[test]
-fn a_script_without_a_report_becomes_unknown_and_may_still_be_heard_of() {
+fn script_without_a_report_becomes_unknown_and_may_still_be_reported() {
     let mut script = sent();
     script.lapse();
     assert_eq!(*script.state(), ScriptState::Unknown);
@@ -180,7 +180,7 @@ fn a_script_without_a_report_becomes_unknown_and_may_still_be_heard_of() {
 }
 
 #[test]
-fn a_robot_that_accepted_something_else_has_failed() {
+fn robot_that_accepted_other_content_has_failed() {
     let other = Some(Command::Script(bench::device_script(("a", 0, 401)).script).content_hash());
     let mut answered = sent();
     let id = answered.request_id().cloned();
@@ -198,7 +198,7 @@ fn a_robot_that_accepted_something_else_has_failed() {
 }
 
 #[test]
-fn a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name() {
+fn temporarily_refused_script_is_planned_again_under_a_new_id() {
     let mut script = sent();
     // A robot whose clock was set back by minutes keeps its queue full for the same time.
     for refusals in 1..=5_000 {
@@ -214,7 +214,7 @@ fn a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name() {
 }
 
 #[test]
-fn a_process_that_died_may_have_sent_a_refused_script_under_its_next_name() {
+fn refused_script_may_have_been_sent_by_dead_process_under_next_id() {
     let mut script = sent();
     script.refused_for_now();
     assert!(!script.is_unaccounted());
@@ -225,7 +225,7 @@ fn a_process_that_died_may_have_sent_a_refused_script_under_its_next_name() {
 }
 
 #[test]
-fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them() {
+fn script_leases_are_those_of_its_steps_and_of_the_request_before_them() {
     let planned = |first: i64, leases: &[Option<i64>]| {
         let step = |(index, lease): (usize, &Option<i64>)| urrcp::Step {
             offset: Millis::from_span(ms(first + 10 * index as i64)),
@@ -252,7 +252,7 @@ fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them(
 }
 
 #[test]
-fn a_script_that_runs_has_started_once_its_robot_says_when() {
+fn running_script_has_started_once_its_robot_reports_the_time() {
     let step = urrcp::Step {
         offset: Millis::from_span(ms(500)),
         setpoint: urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0),
@@ -290,7 +290,7 @@ fn any_said() -> impl Strategy<Value = Said> {
 
 proptest! {
     #[test]
-    fn whatever_is_said_steps_done_never_falls_and_what_has_begun_has_begun(
+    fn progress_never_goes_back_whatever_is_reported(
         said in prop::collection::vec(any_said(), 1..12),
     ) {
         let mut script = sent();
@@ -310,7 +310,7 @@ proptest! {
 }
 
 #[test]
-fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or_after() {
+fn discredited_script_has_no_known_start_whatever_is_reported() {
     let claim = Claim::Ahead { claimed: by_robot(at(9)), by: ms(1) };
     let running = |script: &mut Script| take(script, Said::Running(1), 5);
     let ended = |script: &mut Script| take(script, Said::EndedWell(Some(2)), 6);
@@ -329,7 +329,7 @@ fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or
 }
 
 #[test]
-fn only_a_script_that_another_process_may_have_sent_and_of_which_nothing_was_said_is_unheard() {
+fn only_a_script_of_another_process_can_be_unreported_since_takeover() {
     let planned = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
     assert!(!planned.is_unheard_since_taken_up() && !sent().is_unheard_since_taken_up());
     let mut taken_up = sent();
@@ -340,7 +340,7 @@ fn only_a_script_that_another_process_may_have_sent_and_of_which_nothing_was_sai
 }
 
 #[test]
-fn a_script_of_which_a_step_was_done_has_begun_whatever_else_is_known() {
+fn script_with_a_completed_step_has_begun() {
     let mut script = sent();
     assert!(!script.has_begun());
     script.steps_done = 1;
@@ -348,7 +348,7 @@ fn a_script_of_which_a_step_was_done_has_begun_whatever_else_is_known() {
 }
 
 #[test]
-fn a_request_came_again_if_it_was_sent_twice_or_perhaps_by_another_process() {
+fn request_sent_twice_or_possibly_by_another_process_is_a_repeat() {
     let mut script = sent();
     assert!(!script.came_again());
     assert!(script.was_sent_since(at(0)) && !script.was_sent_since(at(0) + Span::from_nanos(1)));
@@ -361,7 +361,7 @@ fn a_request_came_again_if_it_was_sent_twice_or_perhaps_by_another_process() {
 }
 
 #[test]
-fn steps_and_late_steps_never_become_fewer() {
+fn steps_and_late_steps_never_decrease() {
     let mut script = sent();
     let id = script.request_id().unwrap().clone();
     for (steps, late, expected) in [(2, 1, (2, 1)), (1, 0, (2, 1))] {
@@ -385,7 +385,7 @@ fn steps_and_late_steps_never_become_fewer() {
 }
 
 #[test]
-fn a_robot_that_knows_nothing_of_a_script_may_have_played_what_another_process_sent() {
+fn script_refused_as_late_may_have_been_played_for_another_process() {
     let late = |script: &Script| ControlResponse {
         error: refusal(ErrorCode::Late),
         ..response(&script.plan.device, script.request_id(), Status::Failed, at(1))
@@ -403,7 +403,7 @@ fn a_robot_that_knows_nothing_of_a_script_may_have_played_what_another_process_s
 }
 
 #[test]
-fn that_a_robot_knew_nothing_of_a_script_before_it_accepted_it_takes_nothing_back() {
+fn report_of_unknown_script_before_its_acceptance_is_ignored() {
     let id = RequestId::new("id").unwrap();
     for (said, lost) in [(10, false), (11, true)] {
         let mut script = sent();

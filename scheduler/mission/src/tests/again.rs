@@ -31,7 +31,7 @@ impl Played {
 }
 
 #[test]
-fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_longer_lead() {
+fn act_withdrawn_before_any_motion_is_prepared_again_with_a_longer_lead() {
     for tells in [Everything, Tells::Reports, Tells::Answers] {
         let mut played = Played::begun(begins_at_once(tells));
         // Only the first attempt has additional time, because no round trip is known.
@@ -50,7 +50,7 @@ fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_long
 }
 
 #[test]
-fn a_prescribed_lease_makes_room_for_a_slower_machine_as_far_as_it_can() {
+fn lead_grows_for_a_slower_machine_as_far_as_a_prescribed_lease_allows() {
     // The lead consists of three round trips, each longer by all or half of twice the delay of 30 ms, and of margins.
     for (pending, longer) in [(3_000, 180..260), (240, 90..130)] {
         let mut mission = begins_at_once(Everything);
@@ -67,7 +67,7 @@ fn a_prescribed_lease_makes_room_for_a_slower_machine_as_far_as_it_can() {
 }
 
 #[test]
-fn an_act_is_prepared_again_twice_at_most() {
+fn act_is_prepared_again_at_most_twice() {
     let mut played = Played::begun(begins_at_once(Everything));
     for attempts in 0..3 {
         assert_eq!(played.mission.acts[0].attempts(), attempts);
@@ -79,7 +79,7 @@ fn an_act_is_prepared_again_twice_at_most() {
 }
 
 #[test]
-fn what_an_act_waited_for_is_not_waited_for_again() {
+fn act_prepared_again_does_not_repeat_its_wait() {
     let mut played = Played::begun(waits_in(0));
     played.happens(Event::Go { act: None, by: None });
     played.run_until(played.now + ms(20));
@@ -90,7 +90,7 @@ fn what_an_act_waited_for_is_not_waited_for_again() {
 }
 
 #[test]
-fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
+fn act_with_an_exact_start_time_is_not_prepared_again() {
     let mut mission = begins_at_once(Everything);
     mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_000) });
     let mut played = Played::begun(mission);
@@ -111,7 +111,7 @@ fn is_late_for_its_start(within: i64) -> Played {
 }
 
 #[test]
-fn an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
+fn act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
     let mut played = is_late_for_its_start(10_000);
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     let mut played = is_late_for_its_start(1);
@@ -120,7 +120,7 @@ fn an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
 }
 
 #[test]
-fn another_attempt_does_not_start_before_the_fixed_time() {
+fn next_attempt_does_not_start_before_the_fixed_time() {
     let mut mission = begins_at_once(Everything);
     let start = FixedStart { act: 0, at: at(5_000) };
     mission.options.fixed = FixedStarts { operator: Some(start), within: ms(1_000) };
@@ -134,7 +134,7 @@ fn another_attempt_does_not_start_before_the_fixed_time() {
 }
 
 #[test]
-fn a_start_that_is_too_soon_is_later_within_the_permitted_time() {
+fn start_that_is_too_soon_is_moved_later_within_the_permitted_time() {
     let mut mission = begins_at_once(Everything);
     let start = FixedStart { act: 0, at: at(1) };
     mission.options.fixed = FixedStarts { operator: Some(start), within: ms(5_000) };
@@ -166,7 +166,7 @@ pub(super) fn second(played: &Played) -> RequestId {
 }
 
 #[test]
-fn an_act_behind_another_one_lapses_and_is_prepared_again_once_that_has_ended() {
+fn queued_act_lapses_and_is_prepared_again_after_the_current_one_ends() {
     let mut played = lapses();
     let end = played.mission.acts[0].timing().unwrap().end;
     played.run_until(end);
@@ -181,7 +181,7 @@ fn an_act_behind_another_one_lapses_and_is_prepared_again_once_that_has_ended() 
 }
 
 #[test]
-fn robots_that_drop_an_act_while_it_lapses_have_not_failed() {
+fn robots_that_drop_a_lapsing_act_have_not_failed() {
     let mut played = lapses();
     let (device, id) = (DeviceId::new("a").unwrap(), second(&played));
     let mut dropped = response(&device, Some(&id), Status::Failed, played.now);
@@ -192,7 +192,7 @@ fn robots_that_drop_an_act_while_it_lapses_have_not_failed() {
 }
 
 #[test]
-fn an_act_that_no_robot_can_have_begun_is_withdrawn_even_if_a_robot_is_gone() {
+fn act_that_cannot_have_begun_is_withdrawn_even_if_a_robot_is_lost() {
     for (drops_undecided, second) in [(true, ActFate::Withdrawn), (false, ActFate::Stopped)] {
         let mut played = chained(drops_undecided);
         played.mutes(0);
@@ -205,7 +205,7 @@ fn an_act_that_no_robot_can_have_begun_is_withdrawn_even_if_a_robot_is_gone() {
 }
 
 #[test]
-fn a_stop_withdraws_an_act_that_lapses() {
+fn stop_withdraws_a_lapsing_act() {
     let mut played = lapses();
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
@@ -215,7 +215,7 @@ fn a_stop_withdraws_an_act_that_lapses() {
 }
 
 #[test]
-fn an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer() {
+fn withdrawn_queued_act_stops_both_acts_if_a_robot_may_keep_it_longer() {
     let mut played = chained(false);
     played.is_withdrawn();
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
@@ -223,7 +223,7 @@ fn an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer() {
 }
 
 #[test]
-fn a_mission_that_ends_before_the_next_attempt_has_withdrawn_its_act() {
+fn act_is_withdrawn_if_the_mission_ends_before_the_next_attempt() {
     let mut played = Played::begun(waits_in(0));
     played.mission.acts[0].is_attempted_again(1);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
@@ -233,7 +233,7 @@ fn a_mission_that_ends_before_the_next_attempt_has_withdrawn_its_act() {
 }
 
 #[test]
-fn a_stop_of_the_operator_ends_the_preparation_for_good() {
+fn operator_stop_prevents_further_preparation_attempts() {
     let mut played = Played::begun(begins_at_once(Everything));
     played.is_withdrawn();
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
@@ -242,7 +242,7 @@ fn a_stop_of_the_operator_ends_the_preparation_for_good() {
 }
 
 #[test]
-fn robots_go_home_before_the_next_attempt_if_the_operator_says_so_and_stay_without_a_word_otherwise() {
+fn stop_before_the_next_attempt_is_sent_only_if_robots_are_to_go_home() {
     for (rest, sent) in [(Rest::Home, 1), (Rest::InPlace, 0)] {
         let mut played = Played::begun(begins_at_once(Everything));
         played.is_withdrawn();
@@ -259,7 +259,7 @@ fn robots_go_home_before_the_next_attempt_if_the_operator_says_so_and_stay_witho
 }
 
 #[test]
-fn an_act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop() {
+fn act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop() {
     let mut played = Played::begun(begins_at_once(Everything));
     played.mutes(0);
     played.is_withdrawn();
@@ -268,7 +268,7 @@ fn an_act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop() {
 }
 
 #[test]
-fn an_act_that_a_robot_has_begun_is_not_prepared_again() {
+fn act_begun_by_a_robot_is_not_prepared_again() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.is_withdrawn();
@@ -289,7 +289,7 @@ fn accepts_late(silent: usize, on_failure: OnFailure) -> Played {
 }
 
 #[test]
-fn if_most_robots_do_not_accept_in_time_this_machine_is_suspected_once() {
+fn machine_is_suspected_once_if_most_robots_do_not_accept_in_time() {
     let mut played = accepts_late(2, OnFailure::Without);
     while played.mission.acts[0].attempts() == 0 && played.mission.again.is_none() {
         played.run_until(played.now + ms(1));
@@ -300,7 +300,7 @@ fn if_most_robots_do_not_accept_in_time_this_machine_is_suspected_once() {
 }
 
 #[test]
-fn most_robots_that_stay_silent_have_failed() {
+fn silent_robots_fail_even_if_they_are_the_majority() {
     let mut played = accepts_late(2, OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::NotStarted);
     let failed: Vec<bool> = played.mission.robots.iter().map(RobotState::has_failed).collect();
@@ -308,7 +308,7 @@ fn most_robots_that_stay_silent_have_failed() {
 }
 
 #[test]
-fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent() {
+fn silent_robots_fail_at_second_attempt_or_at_third_if_all_are_silent() {
     for (silent, attempts) in [(3, 3), (2, 2)] {
         let mut played = accepts_late(silent, OnFailure::Without);
         let failed =
@@ -325,14 +325,14 @@ fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_si
 }
 
 #[test]
-fn one_robot_that_does_not_accept_in_time_is_left_out_at_once() {
+fn single_robot_that_does_not_accept_in_time_is_left_out_at_once() {
     let mut played = accepts_late(1, OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
     assert!(played.mission.reports.iter().all(|act| act.prepared_again == 0));
 }
 
 #[test]
-fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
+fn leases_expired_during_a_machine_stall_are_no_robot_failures() {
     for (late, again) in [(ms(50), true), (Span::ZERO, false)] {
         let mut played = Played::begun(begins_at_once(Everything));
         played.run_until(played.mission.acts[0].timing().unwrap().critical() - ms(40));
@@ -349,7 +349,7 @@ fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
 }
 
 #[test]
-fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
+fn link_lost_while_an_act_is_withdrawn_is_reconnected() {
     let mut played = accepts_late(0, OnFailure::Without);
     played.mutes(2);
     played.is_withdrawn();
@@ -370,7 +370,7 @@ fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
 }
 
 #[test]
-fn a_repetition_does_not_count_as_another_act() {
+fn repeated_attempt_does_not_count_as_another_act() {
     let mut mission = begins_at_once(Everything);
     mission.options.acts_max = Some(1);
     let mut played = Played::begun(mission);
@@ -380,7 +380,7 @@ fn a_repetition_does_not_count_as_another_act() {
 }
 
 #[test]
-fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
+fn lease_that_ends_during_a_machine_stall_stops_no_other_act() {
     let mut played = chained(true);
     played.drops(&second(&played));
     let failing = vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
@@ -391,7 +391,7 @@ fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
 }
 
 #[test]
-fn leases_that_end_and_silence_soon_after_this_machine_was_late_are_not_held_against_a_robot() {
+fn expired_leases_and_silence_after_a_late_wake_up_are_excused() {
     let lease = || FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() };
     let silence =
         || FailureKind::Silent { awaited: "word shortly before the start".to_owned(), within: ms(30) };
@@ -429,7 +429,7 @@ fn ran_out() -> urrcp::ControlError {
 }
 
 #[test]
-fn on_a_machine_that_calls_the_mission_late_leases_are_longer_by_that() {
+fn leases_grow_with_the_lateness_of_the_machine() {
     let leases = |late: i64, prescribed: Option<Span>| {
         let mut choreography = choreography(&[&[("a", 0, 400)]]);
         choreography.acts[0].plan.stop_condition.pending = prescribed.map(urrcp::Millis::from_span);

@@ -34,7 +34,7 @@ fn blamed(mission: &Mission) -> Vec<(usize, FailureKind)> {
 }
 
 #[test]
-fn all_robots_whose_clocks_have_strayed_fail_as_soon_as_it_shows() {
+fn all_robots_with_drifted_clocks_fail_as_soon_as_drift_is_detected() {
     let mut mission = two_have_strayed();
     assert_eq!(blamed(&mission), []);
     mission.take_times(at(2), 2, shows(-50));
@@ -46,7 +46,7 @@ fn all_robots_whose_clocks_have_strayed_fail_as_soon_as_it_shows() {
 }
 
 #[test]
-fn a_robot_whose_clock_has_strayed_from_what_two_acts_were_sent_by_is_blamed_once() {
+fn robot_whose_clock_drifted_across_two_acts_is_blamed_once() {
     let mut mission = two_have_strayed();
     let other = mission.acts[0].clone();
     mission.acts.push(other);
@@ -78,7 +78,7 @@ fn second_is_sent(running: i64) -> (Timestamp<Server>, Timestamp<Server>) {
 }
 
 #[test]
-fn an_act_that_needs_a_longer_silence_than_the_leases_of_another_is_sent_after_its_end() {
+fn act_needing_silence_longer_than_leases_of_another_is_sent_after_it() {
     let (sent, end) = second_is_sent(2_000);
     assert!(sent < end, "the lease is longer than the silence: {sent}, {end}");
     let (sent, end) = second_is_sent(300);
@@ -117,7 +117,7 @@ fn scripts_sent(played: &Played) -> usize {
 }
 
 #[test]
-fn a_robot_that_is_back_with_another_clock_in_the_middle_of_an_act_fails_and_is_sent_no_script() {
+fn robot_back_with_another_clock_mid_act_fails_and_gets_no_script() {
     for tells in [Tells::Nothing, Tells::Reports] {
         for clock in [ClockMode::Measured, ClockMode::Ntp] {
             for by in [-2_000, 2_000] {
@@ -136,7 +136,7 @@ fn a_robot_that_is_back_with_another_clock_in_the_middle_of_an_act_fails_and_is_
 }
 
 #[test]
-fn a_robot_that_is_back_with_the_same_clock_is_sent_what_waits_once_it_has_answered() {
+fn robot_back_with_the_same_clock_gets_waiting_script_once_it_responds() {
     for clock in [ClockMode::Measured, ClockMode::Ntp] {
         let mut played = plays_a_chain(Tells::Nothing, clock, ms(3));
         is_replaced(&mut played, ms(3));
@@ -150,7 +150,7 @@ fn a_robot_that_is_back_with_the_same_clock_is_sent_what_waits_once_it_has_answe
 }
 
 #[test]
-fn a_robot_whose_clock_is_set_in_the_middle_of_an_act_fails_if_more_scripts_are_to_begin() {
+fn robot_whose_clock_is_set_mid_act_fails_if_more_scripts_are_to_begin() {
     for tells in [Everything, Tells::Answers, Tells::Reports, Tells::Nothing] {
         for (until, fails) in [(50, true), (1_250, false)] {
             let mut played = plays_a_chain(tells, ClockMode::Ntp, ms(3));
@@ -166,7 +166,7 @@ fn a_robot_whose_clock_is_set_in_the_middle_of_an_act_fails_if_more_scripts_are_
 }
 
 #[test]
-fn a_script_that_waited_for_silence_is_not_sent_before_the_answer_on_a_new_link() {
+fn script_deferred_for_silence_is_not_sent_before_response_on_new_link() {
     let mut mission = begins_at_once(Tells::Nothing);
     let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let script = sent.into_iter().find_map(|action| match action {

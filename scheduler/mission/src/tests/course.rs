@@ -21,7 +21,7 @@ fn stop(played: &mut Played) -> Outcome {
 }
 
 #[test]
-fn an_act_was_withdrawn_before_its_start_stopped_after_it_and_played_once_it_is_over() {
+fn act_is_withdrawn_before_start_stopped_after_it_and_played_once_over() {
     let mut played = Played::begun(begins_at_once(Everything));
     assert_eq!(stop(&mut played), Outcome::Stopped);
     assert_eq!(fates(&played), [ActFate::Withdrawn]);
@@ -42,7 +42,7 @@ fn an_act_was_withdrawn_before_its_start_stopped_after_it_and_played_once_it_is_
 }
 
 #[test]
-fn a_mission_that_fails_has_not_started_as_long_as_nothing_has_moved() {
+fn failed_mission_counts_as_not_started_if_nothing_has_moved() {
     let fail = |played: &mut Played| {
         let now = played.now;
         played.mission.fail(now, 0, broken());
@@ -60,7 +60,7 @@ fn a_mission_that_fails_has_not_started_as_long_as_nothing_has_moved() {
 }
 
 #[test]
-fn a_mission_has_started_if_an_act_was_played_whatever_keeps_the_next_one_from_its_start() {
+fn mission_has_started_if_an_act_was_played_even_if_the_next_cannot_start() {
     let late = Outcome::DecisionLate { by: ms(3) };
     let short = Outcome::LeaseTooShort { lease: ms(1), needed: ms(2) };
     for denial in [late, short] {
@@ -74,7 +74,7 @@ fn a_mission_has_started_if_an_act_was_played_whatever_keeps_the_next_one_from_i
 }
 
 #[test]
-fn acts_follow_each_other_and_no_more_begin_than_are_wanted() {
+fn acts_follow_each_other_up_to_the_requested_number() {
     for (acts_max, begun, bound) in [(None, 2, None), (Some(2), 2, None), (Some(1), 1, Some(1))] {
         let mut mission = waits_in(2);
         mission.options.acts_max = acts_max;
@@ -94,7 +94,7 @@ fn acts_follow_each_other_and_no_more_begin_than_are_wanted() {
 }
 
 #[test]
-fn an_act_that_follows_at_once_starts_when_the_one_before_it_ends() {
+fn act_that_follows_at_once_starts_when_the_previous_one_ends() {
     let mut played = Played::begun(waits_in(2));
     let _done = played.run_to_the_end();
     let [one, two] = [0, 1].map(|act| &played.mission.reports[act]);
@@ -103,7 +103,7 @@ fn an_act_that_follows_at_once_starts_when_the_one_before_it_ends() {
 }
 
 #[test]
-fn the_report_of_an_act_tells_its_instants() {
+fn act_report_states_its_times() {
     let mut played = Played::begun(begins_at_once(Everything));
     let timing = played.mission.acts[0].timing().unwrap().clone();
     let _done = played.run_to_the_end();
@@ -136,7 +136,7 @@ pub(super) fn without_those_that_fail() -> Mission {
 }
 
 #[test]
-fn the_others_go_on_without_a_robot_that_fails_and_the_outcome_says_so() {
+fn others_continue_without_a_failed_robot_and_the_outcome_reports_it() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
     let now = played.now;
@@ -150,7 +150,7 @@ fn the_others_go_on_without_a_robot_that_fails_and_the_outcome_says_so() {
 }
 
 #[test]
-fn a_mission_that_nobody_is_left_to_play_has_failed() {
+fn mission_with_no_robots_left_has_failed() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
     let now = played.now;
@@ -165,7 +165,7 @@ fn a_mission_that_nobody_is_left_to_play_has_failed() {
 }
 
 #[test]
-fn a_failure_may_lead_to_another_act_once_all_are_at_rest() {
+fn failure_may_lead_to_another_act_once_all_are_at_rest() {
     let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
     let bow = choreography.acts[0].clone();
     choreography.acts.push(bow);
@@ -185,7 +185,7 @@ fn a_failure_may_lead_to_another_act_once_all_are_at_rest() {
 }
 
 #[test]
-fn robots_are_asked_three_times_a_lease_while_they_play() {
+fn playing_robots_are_asked_three_times_per_lease() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     let from = played.now;
@@ -201,7 +201,7 @@ fn robots_are_asked_three_times_a_lease_while_they_play() {
 }
 
 #[test]
-fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision() {
+fn messages_are_resent_to_a_robot_that_does_not_respond_before_decision() {
     let mut played = Played::of(begins_at_once(Everything), vec![0]);
     let timing = played.mission.acts[0].timing().unwrap().clone();
     played.run_until(timing.ask_again() - Span::from_nanos(1));
@@ -221,7 +221,7 @@ fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision()
 }
 
 #[test]
-fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() {
+fn refused_go_names_the_act_that_plays_before_the_waiting_one() {
     let mut played = Played::begun(waits_in(1));
     played.run_to_the_start();
     let mission = &mut played.mission;
@@ -233,7 +233,7 @@ fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() 
 }
 
 #[test]
-fn a_mission_that_the_operator_leaves_reports_the_acts_under_way() {
+fn mission_left_by_the_operator_reports_its_current_acts() {
     let mut played = Played::begun(begins_at_once(Everything));
     let now = played.now;
     played.mission.leave(now);
@@ -241,7 +241,7 @@ fn a_mission_that_the_operator_leaves_reports_the_acts_under_way() {
 }
 
 #[test]
-fn robots_of_a_session_are_told_it_with_every_request() {
+fn every_request_states_the_session() {
     let mut mission = begins_at_once(Everything);
     let session = Session::named("show".parse().unwrap());
     let told = Some(session.on_the_wire().clone());
@@ -260,7 +260,7 @@ fn robots_of_a_session_are_told_it_with_every_request() {
 }
 
 #[test]
-fn the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience() {
+fn journal_start_must_be_stored_within_the_operators_patience() {
     let mut mission = begins_at_once(Everything);
     let _begun = mission.handle(at(0), Event::LinkUp { robot: 0 });
     let _waits = mission.advance(at(0));
@@ -283,7 +283,7 @@ fn sent_with(lease: Option<i64>, options: impl Fn(&mut MissionOptions)) -> Optio
 }
 
 #[test]
-fn what_the_operator_asks_for_is_kept_or_refused() {
+fn operator_settings_are_kept_or_refused() {
     assert_eq!(sent_with(Some(240), |_| {}), None);
     let (lease, needed) = (ms(239), ms(240));
     assert_eq!(sent_with(Some(239), |_| {}), Some(Outcome::LeaseTooShort { lease, needed }));
@@ -316,7 +316,7 @@ fn what_the_operator_asks_for_is_kept_or_refused() {
 }
 
 #[test]
-fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answers_and_leases() {
+fn requested_start_is_kept_and_the_spare_time_extends_the_leases() {
     let mut mission = begins_at_once(Everything);
     mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_500) });
     let played = Played::begun(mission);
@@ -326,7 +326,7 @@ fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answe
 }
 
 #[test]
-fn an_act_that_has_waited_for_too_long_fails_ends_or_gives_way_as_the_scenario_says() {
+fn act_that_waits_too_long_fails_ends_or_is_skipped_per_scenario() {
     let two = || Outcome::DoneSkipping { acts: vec!["one".to_owned()] };
     for (way, outcome, second) in [
         (Way::Fail, Outcome::Failed, ActFate::NotReached),
@@ -349,7 +349,7 @@ fn an_act_that_has_waited_for_too_long_fails_ends_or_gives_way_as_the_scenario_s
 }
 
 #[test]
-fn a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission() {
+fn robot_with_its_own_policy_is_left_out_where_another_ends_the_mission() {
     for (robot, outcome) in [(1, Outcome::DoneWithout), (0, Outcome::Failed)] {
         let mut mission = without_those_that_fail();
         let mut choreography = Choreography::clone(&mission.choreography);
@@ -365,7 +365,7 @@ fn a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission
 }
 
 #[test]
-fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
+fn twice_the_disk_delay_is_allowed_and_slowly_forgotten() {
     let mut mission = begins_at_once(Everything);
     assert_eq!(mission.recording_time(), ms(30));
     for (took, allowed) in [(100, 200), (0, 150), (0, 112), (5_000, 2_000)] {
@@ -379,7 +379,7 @@ fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
 }
 
 #[test]
-fn of_robots_that_fail_together_the_strictest_policy_counts() {
+fn strictest_policy_applies_when_robots_fail_together() {
     use downbeat_plan::OnFailure as Policy;
     for (of_first, of_second, rest) in [
         (Policy::Without, Policy::Home, Some(Rest::Home)),
@@ -409,7 +409,7 @@ fn of_robots_that_fail_together_the_strictest_policy_counts() {
 }
 
 #[test]
-fn an_act_that_is_sent_while_another_plays_leaves_its_robots_alone_for_no_longer_than_their_lease() {
+fn act_sent_during_another_keeps_silence_for_at_most_the_running_lease() {
     let mut mission = waits_in(2);
     mission.acts.clear();
     let mut played = Played::begun(mission);
@@ -421,7 +421,7 @@ fn an_act_that_is_sent_while_another_plays_leaves_its_robots_alone_for_no_longer
 }
 
 #[test]
-fn a_round_of_acts_that_nobody_is_left_to_play_ends_the_mission() {
+fn loop_of_acts_with_no_robots_left_ends_the_mission() {
     let mut mission = one_after_the_other();
     let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
     choreography.acts[1].plan = choreography.acts[0].plan.clone();
@@ -434,7 +434,7 @@ fn a_round_of_acts_that_nobody_is_left_to_play_ends_the_mission() {
 }
 
 #[test]
-fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_sent() {
+fn act_left_by_the_operator_before_its_start_is_withdrawn_though_sent() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     assert!(mission.acts[0].is_unaccounted());
@@ -463,7 +463,7 @@ fn the_first_is_done(tells: &[Tells]) -> Played {
 }
 
 #[test]
-fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_all_it_had() {
+fn interrupted_act_was_stopped_even_if_a_robot_has_finished_its_part() {
     for tells in [[Everything; 2], [Tells::Nothing; 2]] {
         let mut played = the_first_is_done(&tells);
         let now = played.now;
@@ -476,7 +476,7 @@ fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_a
 }
 
 #[test]
-fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_played() {
+fn act_whose_last_robot_was_left_out_may_have_begun_and_next_is_played() {
     // A robot that drops undecided scripts cannot begin the act before its commitment.
     for (starts, drops, first) in [
         (true, true, ActFate::Stopped),
@@ -500,7 +500,7 @@ fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_pl
 }
 
 #[test]
-fn an_act_may_have_moved_a_robot_that_has_not_spoken_as_early_as_its_clock_may_have_it() {
+fn silent_robot_may_have_moved_at_the_earliest_start_its_clock_allows() {
     let (mut mission, act, _) = sent_act();
     let timing = act.timing().unwrap();
     let earliest = timing.earliest_start();

@@ -18,7 +18,7 @@ fn asks(actions: &[Action]) -> usize {
 }
 
 #[test]
-fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_that_is_meant() {
+fn without_greeting_any_message_is_attributed_to_the_expected_robot() {
     let response = AvailabilityResponse {
         originate_timestamp: None,
         receive_timestamp: by_robot(at(1)),
@@ -42,7 +42,7 @@ fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_tha
 }
 
 #[test]
-fn a_robot_that_could_start_what_was_not_decided_is_refused_where_the_scenario_is_strict() {
+fn strict_scenario_refuses_a_robot_that_could_start_undecided_scripts() {
     let strict = Some(AllOrNone::Strict);
     for (tells, all_or_none, refused) in
         [(Everything, strict, false), (Reports, strict, true), (Reports, None, false)]
@@ -62,7 +62,7 @@ fn a_robot_that_could_start_what_was_not_decided_is_refused_where_the_scenario_i
 }
 
 #[test]
-fn a_robot_that_gives_its_reason_instead_of_its_name_is_not_waited_for() {
+fn robot_that_sends_an_error_instead_of_its_name_is_not_awaited() {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
     mission.robots[0].connected(at(0));
@@ -81,7 +81,7 @@ fn a_robot_that_gives_its_reason_instead_of_its_name_is_not_waited_for() {
 }
 
 #[test]
-fn a_robot_whose_answer_is_under_way_is_asked_again_after_three_round_trips_and_a_little() {
+fn pending_request_is_repeated_after_three_round_trips_and_a_margin() {
     let mut mission = greets_a_clock(0, 40);
     mission.robots[0].connected(at(0));
     mission.robots[0].named();
@@ -109,7 +109,7 @@ fn busy() -> ControlError {
 }
 
 #[test]
-fn only_a_proven_robot_of_another_session_is_taken_and_only_before_it_was_ours() {
+fn only_proven_robots_never_ours_are_seized_from_another_session() {
     type Change = fn(&mut Mission);
     let changes: [(&str, Change); 5] = [
         ("the operator does not want it", |mission| mission.options.seize = false),
@@ -133,7 +133,7 @@ fn only_a_proven_robot_of_another_session_is_taken_and_only_before_it_was_ours()
 }
 
 #[test]
-fn a_robot_of_another_session_is_taken_unless_another_robot_has_failed() {
+fn robot_of_another_session_is_seized_unless_a_robot_has_failed() {
     for fails in [false, true] {
         let mut mission = may_seize();
         assert!(!mission.seize_others(at(1)), "it belongs to nobody");
@@ -159,7 +159,7 @@ fn a_robot_of_another_session_is_taken_unless_another_robot_has_failed() {
 }
 
 #[test]
-fn a_robot_that_has_become_free_meanwhile_is_asked_as_any_other() {
+fn robot_that_became_free_meanwhile_is_asked_and_not_seized() {
     let mut mission = may_seize();
     assert!(mission.is_to_be_seized(0, &busy()));
     mission.is_ours(at(1), 0);
@@ -181,7 +181,7 @@ fn tells_where_it_stands() -> Mission {
 }
 
 #[test]
-fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at_a_time() {
+fn only_a_seized_robot_out_of_place_is_read_again_one_reading_at_a_time() {
     for (ownership, stands, reads) in
         [(Ownership::Seized, 10.0, 1), (Ownership::Seized, 45.0, 0), (Ownership::Asked, 10.0, 0)]
     {
@@ -198,7 +198,7 @@ fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at
 }
 
 #[test]
-fn a_robot_that_was_taken_and_still_moves_is_read_again_for_at_most_four_seconds() {
+fn seized_robot_that_still_moves_is_read_again_for_at_most_four_seconds() {
     for (arrives, outcome) in [(None, Outcome::NotStarted), (Some(at(3_900)), Outcome::Done)] {
         let mut mission = may_seize();
         mission.robots[0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Linear;
@@ -238,7 +238,7 @@ fn answers_times(mission: &mut Mission, count: i64) {
 }
 
 #[test]
-fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent() {
+fn robots_are_asked_for_name_and_eight_clock_samples_before_any_script() {
     let mut played = Played::begun(asked());
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
@@ -271,7 +271,7 @@ fn was_slow(mission: &mut Mission) {
 }
 
 #[test]
-fn a_robot_that_was_slow_as_long_as_others_were_connected_to_is_measured_further() {
+fn robot_that_was_slow_while_others_connected_is_measured_further() {
     let mut mission = asked();
     was_slow(&mut mission);
     let mut played = Played::begun(mission);
@@ -279,7 +279,7 @@ fn a_robot_that_was_slow_as_long_as_others_were_connected_to_is_measured_further
 }
 
 #[test]
-fn a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused() {
+fn slow_robot_is_measured_for_four_more_seconds_and_then_refused() {
     let mut mission = asked();
     was_slow(&mut mission);
     for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
@@ -295,7 +295,7 @@ fn a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused
 }
 
 #[test]
-fn a_preflight_ends_once_the_fleet_is_checked() {
+fn preflight_ends_once_the_fleet_is_checked() {
     for (fails, outcome) in [(false, Outcome::Ready), (true, Outcome::NotReady)] {
         let mut mission = asked();
         mission.options.preflight_only = true;
@@ -309,7 +309,7 @@ fn a_preflight_ends_once_the_fleet_is_checked() {
 }
 
 #[test]
-fn a_robot_that_fails_while_it_is_greeted_keeps_the_mission_from_starting() {
+fn robot_failure_during_greeting_keeps_the_mission_from_starting() {
     let mut mission = asked();
     let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
     mission.fail(at(1), 0, FailureKind::Garbled { reason: "x".into() });
@@ -317,7 +317,7 @@ fn a_robot_that_fails_while_it_is_greeted_keeps_the_mission_from_starting() {
 }
 
 #[test]
-fn what_was_awaited_in_vain_is_named() {
+fn greeting_timeout_names_the_missing_step() {
     type Reached = fn(&mut Mission);
     let reached: [(Reached, Option<&str>); 6] = [
         (|_| {}, Some("connection")),
@@ -346,7 +346,7 @@ fn what_was_awaited_in_vain_is_named() {
 }
 
 #[test]
-fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
+fn ignored_responses_are_reported_for_a_robot_that_seems_silent() {
     let mut mission = asked();
     mission.robots[0].connected(at(0));
     mission.robots[0].named();
@@ -377,7 +377,7 @@ fn begun_without_the_second(choreography: Choreography, greeting: Greeting) -> P
 }
 
 #[test]
-fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
+fn late_robot_joins_the_acts_not_yet_sent() {
     for greeting in [Greeting::Full, Greeting::Skip] {
         let mut played = waits_for_nobody(greeting);
         assert_eq!(played.mission.robots[1].standing, Standing::Absent);
@@ -395,7 +395,7 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
 }
 
 #[test]
-fn a_robot_that_would_jump_when_it_joins_is_left_out_and_the_others_play() {
+fn joining_robot_that_would_jump_is_left_out_and_the_others_play() {
     for (stands_at, left_out) in [(Some(0.0), true), (Some(45.0), false), (None, false)] {
         let mut played = waits_for_nobody(Greeting::Full);
         let block = played.mission.robots[1].block.as_mut().unwrap();
@@ -413,7 +413,7 @@ fn a_robot_that_would_jump_when_it_joins_is_left_out_and_the_others_play() {
 }
 
 #[test]
-fn an_act_ends_at_once_if_its_only_robot_joins_late_and_would_jump() {
+fn act_ends_immediately_if_its_only_robot_joins_late_and_would_jump() {
     let mut choreography = choreography(&[&[("a", 0, 3_000)], &[("a", 0, 3_000)]]);
     let mut alone = choreography.acts[0].clone();
     alone.plan.robots.remove(0);
@@ -430,7 +430,7 @@ fn an_act_ends_at_once_if_its_only_robot_joins_late_and_would_jump() {
 }
 
 #[test]
-fn a_robot_that_is_elsewhere_after_a_new_link_before_its_first_act_fails() {
+fn robot_that_moved_while_disconnected_before_its_first_act_fails() {
     for (stands_at, fails) in [(0.0, true), (45.0, false)] {
         let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
         choreography.acts[0].wait = Wait::Operator;
@@ -459,7 +459,7 @@ fn a_robot_that_is_elsewhere_after_a_new_link_before_its_first_act_fails() {
 }
 
 #[test]
-fn a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out() {
+fn robot_that_never_joins_or_joins_after_its_last_act_began_is_left_out() {
     for comes in [false, true] {
         let long = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
         let mut played = begun_without_the_second(long, Greeting::Full);
@@ -474,7 +474,7 @@ fn a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out()
 }
 
 #[test]
-fn a_robot_that_comes_later_and_cannot_join_yet_or_ever_stops_nobody() {
+fn late_robot_that_cannot_join_yet_or_ever_does_not_stop_the_others() {
     let mut played = waits_for_nobody(Greeting::Full);
     played.mutes(1);
     played.happens(Event::LinkUp { robot: 1 });
@@ -515,7 +515,7 @@ fn asks_of(played: &Played, robot: usize) -> usize {
 }
 
 #[test]
-fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
+fn absent_robot_that_turns_out_to_be_another_is_left_out() {
     let mut played = waits_for_nobody(Greeting::Full);
     let block = robot("another", Everything, 2).block.unwrap();
     let told = || Event::Received { robot: 1, message: Message::InitializationBlock(block.clone()) };
@@ -531,7 +531,7 @@ fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
 }
 
 #[test]
-fn another_robot_at_an_address_is_told_once_while_robots_are_greeted_and_its_link_is_kept() {
+fn wrong_robot_is_reported_once_during_greeting_and_its_link_is_kept() {
     let mut mission = asked();
     mission
         .robots
@@ -547,7 +547,7 @@ fn another_robot_at_an_address_is_told_once_while_robots_are_greeted_and_its_lin
 }
 
 #[test]
-fn that_ntp_is_lost_and_back_is_told_once_each() {
+fn ntp_loss_and_return_are_reported_once_each() {
     let mut mission = begins_at_once(Everything);
     let state =
         |lost: Option<i64>| Event::ServerTime(NtpState { lost_since: lost.map(at), ..NtpState::default() });
@@ -570,7 +570,7 @@ fn that_ntp_is_lost_and_back_is_told_once_each() {
 }
 
 #[test]
-fn a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not() {
+fn silent_robot_is_sent_its_stop_after_a_moment_and_a_wrong_one_is_not() {
     let mut mission = asked();
     mission.robots[0].connected(at(0));
     assert!(!mission.takes_stops(at(250) - Span::from_nanos(1), 0));
@@ -581,7 +581,7 @@ fn a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_i
 }
 
 #[test]
-fn a_robot_that_cannot_be_reached_is_tried_again_unless_that_is_of_no_use() {
+fn unreachable_robot_is_retried_unless_retrying_is_useless() {
     for (loss, before, now, fails) in [
         (Loss::Refused, None, 0, false),
         (Loss::Refused, Some(0), 499, false),
@@ -607,7 +607,7 @@ fn a_robot_that_cannot_be_reached_is_tried_again_unless_that_is_of_no_use() {
 }
 
 #[test]
-fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
+fn robot_owned_by_another_session_fails_when_asked() {
     let mut mission = asked();
     mission
         .robots
@@ -635,7 +635,7 @@ fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
 }
 
 #[test]
-fn a_device_may_stand_two_of_its_steps_or_two_of_its_errors_away_from_its_first_value() {
+fn device_may_be_two_steps_or_two_errors_from_its_first_value() {
     for (granularity, max_error, within) in [(1.0, None, 2.0), (0.5, Some(3.0), 6.0), (2.0, Some(0.5), 4.0)] {
         let mut mission = with_limits(|device| {
             let limits = &mut device["available_control_types"]["position"];
@@ -650,7 +650,7 @@ fn a_device_may_stand_two_of_its_steps_or_two_of_its_errors_away_from_its_first_
 }
 
 #[test]
-fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
+fn device_that_jumps_or_has_time_to_arrive_may_be_anywhere() {
     let first = |mission: &mut Mission, after: i64, control_type| {
         let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
         let step = urrcp::Step {
@@ -682,7 +682,7 @@ fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
 }
 
 #[test]
-fn a_device_that_first_moves_in_a_later_act_may_not_jump_either() {
+fn device_first_moved_in_a_later_act_must_not_jump() {
     let mut show = choreography(&[&[("a", 0, 400)]]);
     let mut second = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
     second.next = Way::Act(0);
@@ -706,7 +706,7 @@ fn a_device_that_first_moves_in_a_later_act_may_not_jump_either() {
 }
 
 #[test]
-fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
+fn unreachable_absent_robot_is_no_lost_link_and_is_tried_again() {
     let mut played = waits_for_nobody(Greeting::Full);
     played.mission.robots[1].link = super::super::robot_state::Link::Connecting;
     let now = played.now;
@@ -719,7 +719,7 @@ fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
 }
 
 #[test]
-fn a_robot_that_has_failed_does_not_join_when_it_comes() {
+fn failed_robot_does_not_join_when_it_connects() {
     let mut played = waits_for_nobody(Greeting::Full);
     played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
     played.happens(Event::LinkUp { robot: 1 });
@@ -729,7 +729,7 @@ fn a_robot_that_has_failed_does_not_join_when_it_comes() {
 }
 
 #[test]
-fn a_mission_is_done_without_a_robot_that_failed_while_it_was_absent() {
+fn mission_is_done_without_a_robot_that_failed_while_absent() {
     let mut choreography = choreography(&[&[("a", 0, 4_000)], &[("a", 0, 4_000)]]);
     choreography.acts[0].wait = Wait::Done;
     let mut played = begun_without_the_second(choreography, Greeting::Full);
@@ -739,7 +739,7 @@ fn a_mission_is_done_without_a_robot_that_failed_while_it_was_absent() {
 }
 
 #[test]
-fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
+fn excess_readings_of_past_act_waits_are_forgotten() {
     use super::super::robot_state::Reading;
     let mut mission = may_seize();
     let sensor: DeviceId = "a".parse().unwrap();
@@ -754,7 +754,7 @@ fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
 }
 
 #[test]
-fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_depends_on() {
+fn preflight_reads_positions_of_first_act_and_shows_unused_sensors() {
     use super::super::robot_state::Reading;
     for (preflight_only, shown) in [(true, vec!["b"]), (false, Vec::new())] {
         let mut mission = tells_where_it_stands();
@@ -816,7 +816,7 @@ fn refuses_b(played: &Played) -> bool {
 }
 
 #[test]
-fn a_device_that_first_moves_in_an_act_that_does_not_follow_by_next_may_not_jump_either() {
+fn device_first_moved_in_an_act_not_reached_by_next_must_not_jump() {
     for tells in [Everything, Tells::Reports] {
         for (stands_at, fails) in [(0.0, true), (45.0, false)] {
             let mut played = leads_to(tells, 2);
@@ -829,7 +829,7 @@ fn a_device_that_first_moves_in_an_act_that_does_not_follow_by_next_may_not_jump
 }
 
 #[test]
-fn a_device_whose_sensor_reads_nothing_begins_the_act_wherever_it_is() {
+fn device_whose_sensor_reads_nothing_begins_the_act_from_anywhere() {
     let mut played = leads_to(Tells::Reports, 2);
     played.positions.clear();
     let outcome = played.run_to_the_end();
@@ -838,7 +838,7 @@ fn a_device_whose_sensor_reads_nothing_begins_the_act_wherever_it_is() {
 }
 
 #[test]
-fn a_robot_that_does_not_state_where_its_untouched_device_is_does_not_move_it() {
+fn untouched_device_without_a_reported_position_is_not_moved() {
     for tells in [Everything, Tells::Reports] {
         let mut played = leads_to(tells, 2);
         played.mute = vec![0];
@@ -852,7 +852,7 @@ fn a_robot_that_does_not_state_where_its_untouched_device_is_does_not_move_it() 
 }
 
 #[test]
-fn a_device_that_moves_later_than_others_of_its_robot_is_asked_for_again_on_a_new_link() {
+fn later_moving_device_of_a_robot_is_read_again_on_a_new_link() {
     let all =
         [Everything, Tells::Reports].into_iter().flat_map(|tells| [(tells, 0.0, true), (tells, 45.0, false)]);
     for (tells, stands_at, fails) in all {
@@ -869,7 +869,7 @@ fn a_device_that_moves_later_than_others_of_its_robot_is_asked_for_again_on_a_ne
 }
 
 #[test]
-fn an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link() {
+fn act_is_promised_only_after_a_robot_responds_on_its_new_link() {
     for (answers, says_its_name) in [(true, true), (false, true), (false, false)] {
         let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
         choreography.acts[0].wait = Wait::Operator;
@@ -902,7 +902,7 @@ fn an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link() {
 }
 
 #[test]
-fn a_mission_that_waits_ends_when_a_robot_no_longer_admits_the_operator() {
+fn waiting_mission_ends_when_a_robot_no_longer_admits_the_operator() {
     for (loss, ends) in [(Loss::Denied, true), (Loss::Closed, false), (Loss::Refused, false)] {
         let mut choreography = choreography(&[&[("a", 0, 400)]]);
         choreography.acts[0].wait = Wait::Operator;
@@ -918,7 +918,7 @@ fn a_mission_that_waits_ends_when_a_robot_no_longer_admits_the_operator() {
 }
 
 #[test]
-fn an_act_is_promised_to_a_robot_without_a_link_only_after_an_attempt_to_reach_it() {
+fn act_is_promised_to_an_unlinked_robot_only_after_a_connection_attempt() {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].wait = Wait::Operator;
     let choreography = Arc::new(choreography);

@@ -27,7 +27,7 @@ fn flooding() -> Event {
 }
 
 #[test]
-fn a_robot_that_floods_has_failed_and_is_connected_to_again_only_to_be_stopped() {
+fn flooding_robot_has_failed_and_is_reconnected_only_to_be_stopped() {
     let mut mission = of_two(TOLERANCE);
     let _up = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
@@ -53,7 +53,7 @@ fn a_robot_that_floods_has_failed_and_is_connected_to_again_only_to_be_stopped()
 }
 
 #[test]
-fn a_robot_that_floods_while_robots_are_stopped_is_named_once_and_stopped_all_the_same() {
+fn robot_that_floods_during_a_stop_is_named_once_and_still_stopped() {
     let mut mission = of_two(TOLERANCE);
     let _up = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
@@ -67,7 +67,7 @@ fn a_robot_that_floods_while_robots_are_stopped_is_named_once_and_stopped_all_th
 }
 
 #[test]
-fn a_robot_that_floods_while_robots_are_greeted_is_refused() {
+fn robot_that_floods_during_greeting_is_refused() {
     let mut mission = of_two(TOLERANCE);
     mission.options.greeting = Greeting::Full;
     let actions = happens(&mut mission, at(2), flooding());
@@ -88,7 +88,7 @@ fn after_exchanges_of(round_trip: Span, ahead: Span, tolerance: Span) -> Mission
 }
 
 #[test]
-fn a_robot_whose_round_trips_are_longer_than_any_lease_is_refused() {
+fn robot_with_round_trips_longer_than_any_lease_is_refused() {
     for (round_trip, refused) in [(ROUND_TRIP_LONGEST, false), (ROUND_TRIP_LONGEST + ms(1), true)] {
         let mut mission = after_exchanges_of(round_trip, Span::ZERO, ms(60_000));
         mission.check_links();
@@ -102,7 +102,7 @@ fn a_robot_whose_round_trips_are_longer_than_any_lease_is_refused() {
 }
 
 #[test]
-fn no_robot_makes_the_others_wait_for_a_lease_without_bound() {
+fn no_robot_makes_the_others_wait_for_an_unbounded_lease() {
     for (ahead, refused) in [(ms(100), false), (ms(-5_000), false), (ms(5_000), false), (ms(20_000), true)] {
         let mut mission = after_exchanges_of(ms(100), ahead, ms(300_000));
         let now = at(150_000);
@@ -120,7 +120,7 @@ fn no_robot_makes_the_others_wait_for_a_lease_without_bound() {
 }
 
 #[test]
-fn of_robots_that_flood_one_that_was_not_there_yet_is_left_out_and_one_that_is_stopped_is_not() {
+fn flooding_robot_is_left_out_if_absent_but_not_if_being_stopped() {
     let mut mission = of_two(TOLERANCE);
     mission.phase = Phase::Performing;
     mission.robots[1].standing = Standing::Absent;

@@ -22,7 +22,7 @@ fn broken() -> Played {
 }
 
 #[test]
-fn a_robot_whose_link_stays_away_is_given_up_and_not_before() {
+fn robot_is_given_up_only_when_its_lost_link_times_out() {
     let Played { mut mission, now, .. } = broken();
     let until = mission.give_up.unwrap();
     assert!(until >= now + RUNNING);
@@ -35,7 +35,7 @@ fn a_robot_whose_link_stays_away_is_given_up_and_not_before() {
 }
 
 #[test]
-fn the_operator_is_told_once_that_a_link_is_lost_and_until_when_it_may_come_back() {
+fn lost_link_and_its_deadline_are_reported_to_the_operator_once() {
     let mut played = broken();
     played.run_until(played.now + ms(1));
     played.happens(breaks());
@@ -48,7 +48,7 @@ fn the_operator_is_told_once_that_a_link_is_lost_and_until_when_it_may_come_back
 }
 
 #[test]
-fn a_robot_that_is_heard_again_is_waited_for_no_more() {
+fn reattached_robot_is_no_longer_awaited() {
     let mut played = broken();
     let until = played.mission.give_up.unwrap();
     played.mute.clear();
@@ -80,7 +80,7 @@ fn is_confirmed(played: &Played) -> bool {
 }
 
 #[test]
-fn a_stop_that_another_process_has_confirmed_counts_once_the_lease_of_the_first_one_has_ended() {
+fn stop_confirmed_by_another_process_counts_after_the_first_lease_ended() {
     let mut played = replaced(RUNNING * 3);
     played.run_until(played.now + RUNNING - ms(40));
     assert!(played.mission.outcome().is_none() && !is_confirmed(&played));
@@ -94,7 +94,7 @@ fn confirmations(played: &Played) -> usize {
 }
 
 #[test]
-fn a_stop_that_another_process_confirms_before_it_is_known_that_it_is_another_one_counts_as_late() {
+fn stop_confirmed_by_a_process_not_yet_known_to_be_new_takes_effect_late() {
     let mut played = broken();
     played.mission.options.patience = RUNNING * 3;
     let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
@@ -110,7 +110,7 @@ fn a_stop_that_another_process_confirms_before_it_is_known_that_it_is_another_on
 }
 
 #[test]
-fn a_process_that_answers_again_after_another_one_has_confirmed_its_stop_is_stopped() {
+fn process_that_responds_after_another_confirmed_its_stop_is_stopped() {
     let mut played = replaced(RUNNING * 3);
     assert_eq!(played.stops(), 1);
     played.happens(breaks());
@@ -144,7 +144,7 @@ fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
 }
 
 #[test]
-fn another_process_moves_a_robot_until_its_lease_or_its_last_step_and_drives_it_until_its_lease() {
+fn other_process_moves_until_lease_or_last_step_and_drives_until_lease() {
     let position = Setpoint::new(ControlType::Position, 5.0);
     let (driven, halted) = (Setpoint::new(ControlType::Speed, 5.0), Setpoint::new(ControlType::Speed, 0.0));
     let (short, long) = (Some(ms(2_000)), Some(ms(60_000)));
@@ -162,7 +162,7 @@ fn another_process_moves_a_robot_until_its_lease_or_its_last_step_and_drives_it_
 }
 
 #[test]
-fn the_longest_lease_of_the_scripts_that_are_lost_counts() {
+fn longest_lease_of_the_lost_scripts_applies() {
     let elsewhere = |leases: &[Option<i64>]| {
         let mut mission = begins_at_once(Everything);
         leases.iter().for_each(|lease| mission.robots[0].runs_elsewhere(lease.map(at)));
@@ -174,7 +174,7 @@ fn the_longest_lease_of_the_scripts_that_are_lost_counts() {
 }
 
 #[test]
-fn a_robot_in_the_process_of_the_mission_is_moved_by_no_other_process() {
+fn in_process_robot_is_moved_by_no_other_process() {
     let mut played = broken();
     played.mission.robots[0].in_process = true;
     let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
@@ -187,7 +187,7 @@ fn a_robot_in_the_process_of_the_mission_is_moved_by_no_other_process() {
 }
 
 #[test]
-fn a_stop_that_another_process_has_confirmed_is_unconfirmed_while_a_lease_may_run() {
+fn stop_confirmed_by_another_process_is_unconfirmed_during_a_lease() {
     let mut played = replaced(RUNNING / 2);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     let report = Report::of(&played.mission).unwrap();
@@ -197,7 +197,7 @@ fn a_stop_that_another_process_has_confirmed_is_unconfirmed_while_a_lease_may_ru
 }
 
 #[test]
-fn a_robot_whose_process_is_gone_has_lost_what_it_had() {
+fn robot_whose_process_is_gone_has_lost_its_scripts() {
     let other = [(Loss::Closed, false), (Loss::Unreachable, false), (Loss::Denied, false)];
     for (loss, fails) in [(Loss::Refused, true)].into_iter().chain(other) {
         let mut mission = begins_at_once(Everything);
@@ -208,7 +208,7 @@ fn a_robot_whose_process_is_gone_has_lost_what_it_had() {
 }
 
 #[test]
-fn a_robot_that_plays_may_be_silent_for_its_lease_and_a_round_trip() {
+fn playing_robot_may_be_silent_for_its_lease_and_a_round_trip() {
     let mut played = Played::begun(begins_at_once(Everything));
     assert_eq!(played.mission.silence_bound(played.now, 0), None, "its act is not committed");
     played.run_to_the_start();
@@ -226,7 +226,7 @@ fn a_robot_that_plays_may_be_silent_for_its_lease_and_a_round_trip() {
 }
 
 #[test]
-fn a_robot_that_falls_silent_while_it_plays_fails() {
+fn robot_that_becomes_silent_while_playing_fails() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
@@ -240,7 +240,7 @@ fn a_robot_that_falls_silent_while_it_plays_fails() {
 }
 
 #[test]
-fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up() {
+fn non_reporting_robot_is_asked_about_its_script_after_a_machine_stall() {
     for late in [100, 600, 1_100, 2_000] {
         let mut played = Played::begun(one_act(Tells::Answers, 400));
         let start = played.mission.acts[0].timing().unwrap().start;
@@ -255,7 +255,7 @@ fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_he
 }
 
 #[test]
-fn reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed() {
+fn reports_received_during_a_stall_are_read_before_a_robot_is_blamed() {
     for late in [600, 1_100, 2_000] {
         let mut played = Played::begun(one_act(Tells::Reports, 400));
         let start = played.mission.acts[0].timing().unwrap().start;
@@ -269,7 +269,7 @@ fn reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_i
 }
 
 #[test]
-fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the_robots() {
+fn late_round_counts_as_a_machine_stall_and_excuses_open_requests() {
     for (late, held_up) in [(100, 0), (101, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));
         let due = played.now;
@@ -282,7 +282,7 @@ fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the
 }
 
 #[test]
-fn a_round_that_falls_into_the_quiet_around_a_start_comes_a_moment_later() {
+fn round_due_in_the_quiet_around_a_start_comes_shortly_after_it() {
     let mut played = Played::begun(begins_at_once(Everything));
     let start = played.mission.acts[0].timing().unwrap().start;
     let now = start - Span::from_micros(100);
@@ -295,7 +295,7 @@ fn a_round_that_falls_into_the_quiet_around_a_start_comes_a_moment_later() {
 }
 
 #[test]
-fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
+fn robot_status_is_reported_to_the_operator_at_intervals() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     let heard =
@@ -307,7 +307,7 @@ fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
 }
 
 #[test]
-fn lost_robots_are_given_up_each_at_its_own_time() {
+fn each_lost_robot_is_given_up_at_its_own_time() {
     let mut mission = super::hostile::of_two(TOLERANCE);
     mission.phase = Phase::Performing;
     for (robot, give_up) in [(0, at(20)), (1, at(10))] {
@@ -331,7 +331,7 @@ fn lost_robots_are_given_up_each_at_its_own_time() {
 }
 
 #[test]
-fn a_round_that_a_short_lease_needs_is_not_put_off_by_the_quiet_around_a_start() {
+fn round_needed_by_a_short_lease_is_not_delayed_by_quiet_around_a_start() {
     for (lease, waits) in [(20, true), (10, false)] {
         let mut mission = begins_at_once(Everything);
         let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
@@ -347,7 +347,7 @@ fn a_round_that_a_short_lease_needs_is_not_put_off_by_the_quiet_around_a_start()
 }
 
 #[test]
-fn silence_is_noticed_by_a_machine_that_looks_for_it_a_little_late() {
+fn silence_is_detected_by_a_check_that_runs_slightly_late() {
     for (looks, noticed) in [(-1, false), (0, true), (1, true)] {
         let mut played = Played::begun(one_act(Everything, 10_000));
         played.run_to_the_start();
@@ -361,7 +361,7 @@ fn silence_is_noticed_by_a_machine_that_looks_for_it_a_little_late() {
 }
 
 #[test]
-fn a_robot_that_an_act_asks_on_the_way_to_its_start_is_not_asked_once_more_by_a_round() {
+fn robot_just_asked_by_an_approaching_act_is_not_asked_again_by_a_round() {
     for (asked, more) in [(1, 0), (10_000, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));
         let now = played.now;

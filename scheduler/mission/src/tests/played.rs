@@ -319,7 +319,7 @@ impl Played {
 }
 
 #[test]
-fn a_mission_whose_robots_do_what_they_are_told_is_done() {
+fn mission_with_compliant_robots_is_done() {
     for tells in [Everything, Tells::Reports, Tells::Answers, Tells::Nothing] {
         let mut played = Played::begun(begins_at_once(tells));
         let outcome = played.run_to_the_end();
@@ -330,7 +330,7 @@ fn a_mission_whose_robots_do_what_they_are_told_is_done() {
 
 #[cfg(feature = "metrics")]
 #[test]
-fn acts_under_way_are_counted_by_how_far_they_are() {
+fn current_acts_are_counted_by_stage() {
     let mut mission = waits_in(1);
     assert_eq!(mission.act_stages(), [0, 0, 0]);
     assert_eq!(mission.phase_name(), super::figures::PhaseName::Greeting);
@@ -344,7 +344,7 @@ fn acts_under_way_are_counted_by_how_far_they_are() {
 
 #[cfg(feature = "metrics")]
 #[test]
-fn the_figures_of_a_robot_contain_the_acts_under_way() {
+fn robot_figures_include_the_current_acts() {
     let mut played = Played::begun(begins_at_once(Everything));
     let figures = |played: &Played| {
         let figures = played.mission.figures_of(0);

@@ -25,7 +25,7 @@ fn has_a_sensor(tells: Tells) -> Played {
 }
 
 #[test]
-fn a_robot_that_leaves_out_the_names_of_requests_is_known_by_its_sensors() {
+fn robot_that_omits_request_ids_has_its_position_read_by_sensors() {
     for tells in [Everything, Tells::Reports] {
         for (stands_at, refused) in [(45.0, false), (0.0, true)] {
             let mut played = has_a_sensor(tells);
@@ -44,7 +44,7 @@ fn a_robot_that_leaves_out_the_names_of_requests_is_known_by_its_sensors() {
 }
 
 #[test]
-fn a_sensor_without_a_reading_is_not_awaited_although_the_refusal_names_no_request() {
+fn refusal_without_request_id_ends_the_wait_for_a_sensor_reading() {
     let mut played = has_a_sensor(Tells::Reports);
     (played.leaves_out_names, played.positions) = (true, HashMap::new());
     played.run_until(at(2_000));
@@ -52,7 +52,7 @@ fn a_sensor_without_a_reading_is_not_awaited_although_the_refusal_names_no_reque
 }
 
 #[test]
-fn readings_that_a_broken_link_lost_in_the_greeting_are_asked_for_again() {
+fn readings_lost_with_a_broken_link_during_greeting_are_requested_again() {
     let mut played = has_a_sensor(Tells::Reports);
     let range = SensorRange::Above(10.0);
     played.mission.robots[0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];

@@ -19,7 +19,7 @@ fn resumed_after(played: &Played, millis: i64) -> Played {
 }
 
 #[test]
-fn a_mission_that_is_resumed_asks_what_was_sent_and_sends_nothing_again_of_its_acts() {
+fn resumed_mission_queries_sent_scripts_and_resends_none() {
     let mut played = Played::begun(waits_in(2));
     let first_ends = played.mission.acts[0].timing().unwrap().end;
     played.run_until(first_ends + ms(10));
@@ -39,7 +39,7 @@ fn a_mission_that_is_resumed_asks_what_was_sent_and_sends_nothing_again_of_its_a
 }
 
 #[test]
-fn a_robot_that_was_left_out_stays_out_after_a_resumption_and_is_stopped() {
+fn left_out_robot_stays_out_after_resumption_and_is_stopped() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
     played.mission.fail(played.now, 1, broken());
@@ -67,7 +67,7 @@ fn left_out_after(later: Span) -> Played {
 }
 
 #[test]
-fn a_robot_that_was_left_out_before_the_crash_is_reported_with_its_failure_and_its_steps() {
+fn robot_left_out_before_the_crash_is_reported_with_failure_and_steps() {
     // The process died before or after the robot had confirmed its stop.
     for confirmed in [false, true] {
         let played = left_out_after(if confirmed { ms(100) } else { Span::ZERO });
@@ -86,7 +86,7 @@ fn a_robot_that_was_left_out_before_the_crash_is_reported_with_its_failure_and_i
 }
 
 #[test]
-fn an_act_that_ended_without_a_process_waits_a_moment_for_the_answer_of_a_robot_that_was_left_out() {
+fn act_that_ended_without_a_process_waits_briefly_for_a_left_out_robot() {
     for answers in [true, false] {
         let played = left_out_after(ms(100));
         let mut resumed = resumed_after(&played, 20_000);
@@ -99,7 +99,7 @@ fn an_act_that_ended_without_a_process_waits_a_moment_for_the_answer_of_a_robot_
 }
 
 #[test]
-fn an_act_that_lapses_is_prepared_again_by_the_process_that_resumes_the_mission() {
+fn lapsing_act_is_prepared_again_by_the_resuming_process() {
     for committed in [false, true] {
         let mut played = chained(true);
         if committed {
@@ -116,7 +116,7 @@ fn an_act_that_lapses_is_prepared_again_by_the_process_that_resumes_the_mission(
 }
 
 #[test]
-fn an_act_that_is_taken_up_too_late_to_ask_its_robots_lapses_at_once() {
+fn act_resumed_too_late_to_query_its_robots_lapses_at_once() {
     let played = chained(true);
     let mut resumed = resumed_after(&played, 200);
     resumed.run_until(resumed.now + ms(5));
@@ -127,7 +127,7 @@ fn an_act_that_is_taken_up_too_late_to_ask_its_robots_lapses_at_once() {
 }
 
 #[test]
-fn an_act_that_was_prepared_again_is_reported_so_after_a_resumption() {
+fn act_prepared_again_is_reported_as_such_after_resumption() {
     let mut played = Played::begun(begins_at_once(Everything));
     let number = played.mission.acts[0].number();
     played.mission.withdraw_act(played.now, number, Outcome::DecisionLate { by: ms(30) });
@@ -141,7 +141,7 @@ fn an_act_that_was_prepared_again_is_reported_so_after_a_resumption() {
 }
 
 #[test]
-fn the_report_of_a_resumed_mission_contains_the_acts_that_ended_before_the_crash() {
+fn report_of_a_resumed_mission_contains_acts_ended_before_the_crash() {
     let mut played = Played::begun(waits_in(2));
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
     let before = played.mission.reports[0].clone();
@@ -159,7 +159,7 @@ fn the_report_of_a_resumed_mission_contains_the_acts_that_ended_before_the_crash
 }
 
 #[test]
-fn acts_whose_reports_cannot_be_read_back_are_counted() {
+fn acts_with_unreadable_reports_are_counted() {
     let mut played = Played::begun(waits_in(2));
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
     let (kept, _) = kept(&played);
@@ -168,7 +168,7 @@ fn acts_whose_reports_cannot_be_read_back_are_counted() {
 }
 
 #[test]
-fn a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome() {
+fn flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome() {
     let tolerance = ms(10);
     let outcome = |flaws: ActFlaws| {
         let mut played = Played::begun(waits_in(2));
@@ -189,7 +189,7 @@ fn a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome() {
 }
 
 #[test]
-fn a_start_without_a_name_may_be_that_of_a_script_that_only_the_process_before_has_sent() {
+fn start_without_id_may_belong_to_a_script_only_the_dead_process_sent() {
     let scripts = [("a", 0, 100), ("a", 200, 100), ("a", 400, 100)];
     let mut played = Played::begun(begins_with(Tells::Reports, &scripts));
     let start = played.mission.acts[0].timing().unwrap().start;
@@ -219,7 +219,7 @@ fn of_two_robots() -> Played {
 }
 
 #[test]
-fn an_act_that_ended_while_no_process_drove_it_was_not_stopped() {
+fn act_that_ended_without_a_driving_process_was_not_stopped() {
     let fate = |robots_lost: &[usize], stopped_after: i64| {
         let played = of_two_robots();
         let mut resumed = resumed_after(&played, stopped_after);
@@ -236,7 +236,7 @@ fn an_act_that_ended_while_no_process_drove_it_was_not_stopped() {
 }
 
 #[test]
-fn an_act_whose_scripts_waited_in_vain_for_a_dead_process_was_withdrawn() {
+fn act_whose_scripts_expired_waiting_for_a_dead_process_was_withdrawn() {
     let mut played = of_two_robots();
     // The leases of its scripts ended before their start.
     played.ends_early(0);
@@ -246,7 +246,7 @@ fn an_act_whose_scripts_waited_in_vain_for_a_dead_process_was_withdrawn() {
 }
 
 #[test]
-fn scripts_of_a_long_movement_that_have_ended_are_asked_for_at_once() {
+fn ended_scripts_of_a_long_movement_are_queried_at_once() {
     let scripts: Vec<_> = (0..8).map(|index| ("a", 2_000 * index, 2_000)).collect();
     let block = robot("r0", Everything, 2).block;
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
@@ -285,7 +285,7 @@ fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
 }
 
 #[test]
-fn a_withdrawn_mission_has_failed_if_anything_may_have_moved_and_has_not_started_otherwise() {
+fn withdrawn_mission_failed_if_anything_may_have_moved_else_not_started() {
     let why = || Some("why".to_owned());
     assert_eq!(withdrawn(true, Outcome::Failed), (Outcome::Failed, why()));
     assert_eq!(withdrawn(false, Outcome::Failed), (Outcome::NotStarted, why()));
@@ -297,7 +297,7 @@ fn a_withdrawn_mission_has_failed_if_anything_may_have_moved_and_has_not_started
 }
 
 #[test]
-fn a_device_that_moved_before_the_resumption_moves_on_as_the_scenario_says() {
+fn device_moved_before_resumption_continues_as_the_scenario_specifies() {
     let mut show = choreography(&[&[("a", 0, 400)]]);
     for (device, length, next) in [("b", 9_000, Way::Act(2)), ("a", 400, Way::End)] {
         let mut act = choreography(&[&[(device, 0, length)]]).acts.remove(0);
@@ -320,7 +320,7 @@ fn a_device_that_moved_before_the_resumption_moves_on_as_the_scenario_says() {
 }
 
 #[test]
-fn a_mission_that_continued_after_a_stop_is_withdrawn_so_no_device_that_the_stop_left_adrift_moves() {
+fn mission_that_continued_after_a_stop_is_withdrawn_and_not_resumed() {
     let mut played = Played::begun(waits_in(2));
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
     assert_eq!(kept(&played).0.fate(), crate::Fate::Resume);
@@ -332,7 +332,7 @@ fn a_mission_that_continued_after_a_stop_is_withdrawn_so_no_device_that_the_stop
 }
 
 #[test]
-fn a_script_that_the_process_that_died_did_not_send_in_time_is_not_said_to_be_lost() {
+fn script_not_sent_in_time_by_a_dead_process_is_not_reported_as_lost() {
     let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
     let mut played = Played::begun(begins_with(Everything, &chain));
     played.run_to_the_start();
@@ -347,7 +347,7 @@ fn a_script_that_the_process_that_died_did_not_send_in_time_is_not_said_to_be_lo
 }
 
 #[test]
-fn an_act_that_plays_keeps_the_doubt_that_was_stated_at_its_decision() {
+fn resumed_act_keeps_the_doubt_recorded_at_its_decision() {
     let mut played = Played::begun(begins_at_once(Everything));
     played.run_to_the_start();
     let stated = played.recorded.iter().find_map(|record| match record {
@@ -384,7 +384,7 @@ fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
 }
 
 #[test]
-fn a_robot_whose_clock_was_set_before_an_act_was_resumed_fails_and_not_all_after_this_machines_was() {
+fn clock_set_before_resumption_fails_its_robot_unless_it_was_ours() {
     assert_eq!(resumed_with_clocks([0, 0, 0]), []);
     assert_eq!(resumed_with_clocks([-2_000; 3]), [], "the clock of this machine was set");
     for ahead in [[0, 2_000, 0], [-2_000, 0, -2_000]] {

@@ -25,7 +25,7 @@ fn sent() -> Mission {
 }
 
 #[test]
-fn a_robot_holds_where_it_is_or_goes_to_rest_as_the_operator_says() {
+fn robot_stops_in_place_or_goes_home_as_the_operator_requests() {
     for (rest, holds) in [(Rest::Home, true), (Rest::InPlace, false)] {
         let stops = asked_to_stop(&mut sent(), 1, rest);
         assert_eq!(stops.iter().map(|stop| stop.home).collect::<Vec<_>>(), [holds], "{rest:?}");
@@ -33,7 +33,7 @@ fn a_robot_holds_where_it_is_or_goes_to_rest_as_the_operator_says() {
 }
 
 #[test]
-fn the_operators_latest_word_counts_and_the_same_word_again_sends_nothing() {
+fn latest_operator_command_applies_and_a_repeated_one_sends_nothing() {
     let mut mission = sent();
     assert_eq!(asked_to_stop(&mut mission, 1, Rest::InPlace).len(), 1);
     assert_eq!(asked_to_stop(&mut mission, 2, Rest::InPlace).len(), 0);
@@ -42,7 +42,7 @@ fn the_operators_latest_word_counts_and_the_same_word_again_sends_nothing() {
 }
 
 #[test]
-fn a_stop_that_is_not_confirmed_is_sent_again_and_given_up_when_patience_ends() {
+fn unconfirmed_stop_is_resent_and_given_up_when_patience_ends() {
     let mut mission = sent();
     let first = asked_to_stop(&mut mission, 1, Rest::InPlace);
     let (again, ends) = (at(201), at(1) + mission.options.patience);
@@ -73,7 +73,7 @@ fn awaits_word(before_brink: Span) -> Played {
 }
 
 #[test]
-fn a_stop_is_sent_at_once_while_everything_else_waits_for_the_commitment() {
+fn stop_is_sent_at_once_while_other_messages_await_the_commitment() {
     for by_operator in [true, false] {
         let mut played = awaits_word(ms(14));
         let (now, mission) = (played.now, &mut played.mission);
@@ -95,7 +95,7 @@ fn a_stop_is_sent_at_once_while_everything_else_waits_for_the_commitment() {
 }
 
 #[test]
-fn on_a_slow_link_a_stop_has_three_round_trips_to_be_confirmed() {
+fn stop_on_a_slow_link_has_three_round_trips_to_be_confirmed() {
     let mut mission = sent();
     let there = by_robot(at(100));
     mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(200)));
@@ -104,7 +104,7 @@ fn on_a_slow_link_a_stop_has_three_round_trips_to_be_confirmed() {
 }
 
 #[test]
-fn the_names_of_stops_begin_with_the_session() {
+fn stop_ids_begin_with_the_session() {
     for (session, begin) in [(None, "stop/"), (Some("show"), "show/stop/")] {
         let mut mission = begins_at_once(Everything);
         mission.options.session = session.map(|name| Session::named(name.parse().unwrap()));
@@ -117,7 +117,7 @@ fn the_names_of_stops_begin_with_the_session() {
 }
 
 #[test]
-fn a_robot_is_stopped_otherwise_only_if_it_was_stopped_in_another_way() {
+fn robot_is_stopped_again_only_if_the_kind_of_stop_differs() {
     let mut mission = sent();
     let otherwise =
         |mission: &Mission| [Rest::InPlace, Rest::Home].map(|rest| mission.robots[0].stops_otherwise(rest));
@@ -129,7 +129,7 @@ fn a_robot_is_stopped_otherwise_only_if_it_was_stopped_in_another_way() {
 }
 
 #[test]
-fn what_a_failure_has_stopped_stays_until_the_operator_says_otherwise() {
+fn stop_after_a_failure_lasts_until_the_operator_overrides_it() {
     let mut mission = sent();
     mission.abort(at(1), Outcome::Failed, Rest::InPlace, Some(0));
     assert_eq!(stops_in(&std::mem::take(&mut mission.actions)).len(), 1);
@@ -151,7 +151,7 @@ fn what_a_failure_has_stopped_stays_until_the_operator_says_otherwise() {
 }
 
 #[test]
-fn a_journal_that_is_lost_stops_the_mission_and_lets_nothing_follow_a_stop() {
+fn lost_journal_stops_the_mission_and_no_act_follows_a_stop() {
     let lost = || Event::JournalLost { reason: "full".to_owned() };
     let mut mission = begins_at_once(Everything);
     let _refused = mission.handle(at(0), lost());
@@ -168,7 +168,7 @@ fn a_journal_that_is_lost_stops_the_mission_and_lets_nothing_follow_a_stop() {
 }
 
 #[test]
-fn a_robot_that_has_confirmed_its_stop_is_at_rest_and_that_is_written_down() {
+fn robot_with_confirmed_stop_is_at_rest_and_this_is_recorded() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     let by = Some("anna".to_owned());
@@ -183,7 +183,7 @@ fn a_robot_that_has_confirmed_its_stop_is_at_rest_and_that_is_written_down() {
 }
 
 #[test]
-fn a_word_that_comes_after_the_end_changes_nothing() {
+fn stop_request_after_the_end_changes_nothing() {
     let mut played = Played::begun(begins_at_once(Everything));
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     let by = Some("anna".to_owned());
@@ -192,7 +192,7 @@ fn a_word_that_comes_after_the_end_changes_nothing() {
 }
 
 #[test]
-fn that_a_robot_was_not_reached_by_its_stop_is_told_with_the_reason_once() {
+fn robot_not_reached_by_its_stop_is_reported_once_with_the_reason() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
@@ -207,7 +207,7 @@ fn that_a_robot_was_not_reached_by_its_stop_is_told_with_the_reason_once() {
 }
 
 #[test]
-fn a_robot_that_does_not_answer_its_stop_on_a_link_that_stands_has_no_failure() {
+fn robot_that_does_not_confirm_its_stop_on_a_working_link_has_not_failed() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
@@ -217,7 +217,7 @@ fn a_robot_that_does_not_answer_its_stop_on_a_link_that_stands_has_no_failure() 
 }
 
 #[test]
-fn while_a_mission_stops_a_robot_that_is_heard_again_is_not_told_of() {
+fn reattached_robot_is_not_reported_while_the_mission_stops() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
@@ -231,7 +231,7 @@ fn while_a_mission_stops_a_robot_that_is_heard_again_is_not_told_of() {
 }
 
 #[test]
-fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
+fn scripts_left_by_another_process_are_withdrawn_once_links_are_up() {
     let left = crate::LeftOn {
         devices: ["a", "b"].map(|device| device.parse().unwrap()).into(),
         shift: ms(7),
@@ -264,7 +264,7 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
 }
 
 #[test]
-fn the_end_of_a_script_without_a_name_does_not_confirm_the_stop_of_a_mission_that_is_withdrawn() {
+fn script_end_without_id_does_not_confirm_stop_of_a_withdrawn_mission() {
     let on = crate::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
     let left = crate::Left { robots: [("r0".parse().unwrap(), on)].into(), ..Default::default() };
     let participants = vec![Participant::new("r0".parse().unwrap(), robot("r0", Tells::Reports, 2).block)];
@@ -283,7 +283,7 @@ fn the_end_of_a_script_without_a_name_does_not_confirm_the_stop_of_a_mission_tha
 }
 
 #[test]
-fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop() {
+fn end_without_id_after_a_stop_may_belong_to_the_script_or_the_stop() {
     let last_value = urrcp::StatusValue::Number(45.0);
     for (status_value, steps_done, completed) in [
         (urrcp::StatusValue::Null, None, false),
@@ -308,7 +308,7 @@ fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop()
 }
 
 #[test]
-fn a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operator_wants_it_to_stop() {
+fn robot_taken_over_by_another_session_is_stopped_only_by_the_operator() {
     for by_operator in [true, false] {
         let mut mission = sent();
         let stops = if by_operator {
@@ -338,7 +338,7 @@ fn a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operat
 }
 
 #[test]
-fn a_failure_without_a_name_after_a_stop_is_that_of_the_script_that_it_has_ended() {
+fn failure_without_id_after_a_stop_belongs_to_the_script_it_ended() {
     let mut played = Played::begun(begins_at_once(Tells::Reports));
     played.run_to_the_start();
     played.mutes(0);

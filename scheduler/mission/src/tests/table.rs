@@ -15,7 +15,7 @@ fn asked() -> Mission {
 }
 
 #[test]
-fn what_a_robot_says_of_itself_is_checked_once_it_has_said_it() {
+fn identity_version_and_description_are_checked_once_reported() {
     let mut mission = asked();
     for (introduced, identity, version, description) in [
         (false, Verdict::NotChecked, Verdict::NotChecked, Verdict::NotChecked),
@@ -29,7 +29,7 @@ fn what_a_robot_says_of_itself_is_checked_once_it_has_said_it() {
 }
 
 #[test]
-fn the_delays_of_a_link_and_the_offset_of_a_clock_are_told_in_milliseconds() {
+fn link_delays_and_clock_offset_are_shown_in_milliseconds() {
     let mut mission = asked();
     assert_eq!(verdict(&mission, Check::Link, 0), Verdict::Warning("not there".into()));
     assert_eq!(verdict(&mission, Check::Clock, 0), Verdict::NotChecked);
@@ -50,7 +50,7 @@ fn the_delays_of_a_link_and_the_offset_of_a_clock_are_told_in_milliseconds() {
 }
 
 #[test]
-fn a_link_that_is_lost_is_told_with_its_reason() {
+fn lost_link_is_reported_with_its_reason() {
     let mut mission = asked();
     let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
     let _reconnects = mission.handle(at(0), down);
@@ -58,7 +58,7 @@ fn a_link_that_is_lost_is_told_with_its_reason() {
 }
 
 #[test]
-fn a_certificate_that_ends_within_a_month_is_told_of_in_days() {
+fn certificate_expiring_within_a_month_is_reported_in_days() {
     const DAY: i64 = 24 * 3_600 * 1_000;
     for (days, expected) in
         [(None, None), (Some(31), None), (Some(30), None), (Some(29), Some("expires in 29 days"))]
@@ -78,7 +78,7 @@ fn a_certificate_that_ends_within_a_month_is_told_of_in_days() {
 }
 
 #[test]
-fn hardware_is_there_once_a_robot_that_is_asked_has_answered() {
+fn hardware_passes_once_an_asked_robot_has_responded() {
     let mut mission = asked();
     assert_eq!(verdict(&mission, Check::Hardware, 0), Verdict::NotChecked);
     let there = by_robot(at(1));
@@ -89,7 +89,7 @@ fn hardware_is_there_once_a_robot_that_is_asked_has_answered() {
 }
 
 #[test]
-fn positions_that_were_read_are_counted() {
+fn read_positions_are_counted() {
     let mut mission = asked();
     assert_eq!(verdict(&mission, Check::Position, 0), Verdict::NotChecked);
     mission.robots[0].positions = vec![("a".parse().unwrap(), 1.0), ("b".parse().unwrap(), 2.0)];
@@ -97,7 +97,7 @@ fn positions_that_were_read_are_counted() {
 }
 
 #[test]
-fn a_robot_that_was_taken_from_another_session_is_told_of() {
+fn robot_seized_from_another_session_is_reported() {
     let mut mission = asked();
     mission.options.session = Some(Session::named("s".parse().unwrap()));
     mission.robots[0].connected(at(0));
@@ -108,7 +108,7 @@ fn a_robot_that_was_taken_from_another_session_is_told_of() {
 }
 
 #[test]
-fn failures_stand_in_the_column_that_they_concern_and_those_left_out_are_counted_with_the_first() {
+fn failures_are_in_their_column_and_omitted_ones_counted_in_the_first() {
     let mut mission = asked();
     mission.note_failure(0, FailureKind::Garbled { reason: "x".into() });
     let Verdict::Failure(one) = verdict(&mission, Check::Link, 0) else { panic!() };
@@ -124,7 +124,7 @@ fn failures_stand_in_the_column_that_they_concern_and_those_left_out_are_counted
 }
 
 #[test]
-fn readings_are_those_required_then_where_devices_stand_then_what_is_only_shown() {
+fn readings_are_required_sensors_then_positions_then_shown_devices() {
     for (greeting, count) in [(Greeting::Full, 4), (Greeting::Skip, 3)] {
         let mut mission = asked();
         mission.options.greeting = greeting;
@@ -152,7 +152,7 @@ fn readings_are_those_required_then_where_devices_stand_then_what_is_only_shown(
 }
 
 #[test]
-fn where_no_sensor_is_required_none_is_checked() {
+fn sensors_are_not_checked_if_none_is_required() {
     let mut mission = asked();
     assert!(mission.robots[0].settings.require.is_empty());
     mission.robots[0].readings.clear();

@@ -72,7 +72,7 @@ fn rests(played: &Played) -> Vec<Option<Rest>> {
 }
 
 #[test]
-fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions() {
+fn robots_rest_and_then_play_a_way_home_planned_from_their_positions() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
@@ -87,7 +87,7 @@ fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_po
 }
 
 #[test]
-fn the_way_home_is_planned_only_for_devices_that_the_mission_has_moved() {
+fn way_home_is_planned_only_for_devices_the_mission_has_moved() {
     for states_all in [false, true] {
         let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
         played.positions = ["a", "b", "c"].map(|device| (device.parse().unwrap(), 45.0)).into();
@@ -101,7 +101,7 @@ fn the_way_home_is_planned_only_for_devices_that_the_mission_has_moved() {
 }
 
 #[test]
-fn a_robot_that_has_nothing_to_move_has_confirmed_its_stop() {
+fn robot_with_nothing_to_move_has_confirmed_its_stop() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     *planner.skips.lock().unwrap() = Some("r1");
     says(&mut played, Rest::Home);
@@ -112,7 +112,7 @@ fn a_robot_that_has_nothing_to_move_has_confirmed_its_stop() {
 }
 
 #[test]
-fn a_device_that_slows_down_is_asked_until_it_rests() {
+fn slowing_device_is_read_until_it_is_at_rest() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
     for position in [46.0, 47.0, 48.0] {
@@ -127,7 +127,7 @@ fn a_device_that_slows_down_is_asked_until_it_rests() {
 }
 
 #[test]
-fn without_a_plan_the_robots_stay_where_they_are_and_the_reason_is_reported() {
+fn robots_stay_in_place_without_a_plan_and_the_reason_is_reported() {
     let (mut played, _) = plays(Err("a and b collide"), OnFailure::Stop);
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
@@ -150,7 +150,7 @@ fn devices_at_their_default_positions_are_home() {
 }
 
 #[test]
-fn if_no_robot_can_take_part_nobody_goes_home() {
+fn no_robot_goes_home_if_none_can_take_part() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Home);
     let actions = {
         let failing = vec![(0, broken()), (1, broken())];
@@ -170,7 +170,7 @@ fn gone() -> Event {
 }
 
 #[test]
-fn a_robot_that_is_gone_does_not_keep_the_others_from_home() {
+fn lost_robot_does_not_keep_the_others_from_going_home() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mute = vec![1];
     says(&mut played, Rest::Home);
@@ -182,7 +182,7 @@ fn a_robot_that_is_gone_does_not_keep_the_others_from_home() {
 }
 
 #[test]
-fn without_a_journal_the_robots_stay_where_they_are() {
+fn robots_stay_in_place_without_a_journal() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
     played.happens(Event::JournalLost { reason: "full".to_owned() });
@@ -201,7 +201,7 @@ fn runs_home(played: &mut Played) {
 }
 
 #[test]
-fn a_stop_on_the_way_home_leaves_the_robots_where_they_are_and_a_second_home_changes_nothing() {
+fn stop_on_the_way_home_leaves_robots_in_place_and_home_again_is_ignored() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
     runs_home(&mut played);
@@ -215,7 +215,7 @@ fn a_stop_on_the_way_home_leaves_the_robots_where_they_are_and_a_second_home_cha
 }
 
 #[test]
-fn a_stop_that_follows_home_at_once_leaves_the_robots_where_they_are() {
+fn stop_immediately_after_home_leaves_robots_in_place() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
     says(&mut played, Rest::InPlace);
@@ -229,7 +229,7 @@ fn a_stop_that_follows_home_at_once_leaves_the_robots_where_they_are() {
 }
 
 #[test]
-fn after_a_failure_the_others_go_home_and_the_robot_that_failed_stays() {
+fn other_robots_go_home_after_a_failure_and_the_failed_one_stays() {
     let (mut played, _) = plays(Ok(true), OnFailure::Home);
     let actions = {
         played.mission.fail(played.now, 1, broken());
@@ -243,7 +243,7 @@ fn after_a_failure_the_others_go_home_and_the_robot_that_failed_stays() {
 }
 
 #[test]
-fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
+fn no_robot_goes_home_while_one_may_still_move() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     played.mute = vec![1];
     played.mission.robots[1].settings.clock = ClockMode::Ntp;
@@ -279,7 +279,7 @@ fn stops_before_another_act(played: &mut Played, rest: Rest) {
 }
 
 #[test]
-fn an_act_that_follows_a_failure_begins_once_the_robots_are_at_their_first_positions() {
+fn act_after_a_failure_begins_once_robots_are_at_their_first_positions() {
     for rest in [Rest::Home, Rest::InPlace] {
         for (answer, fate) in [(Ok(true), ActFate::Played), (Err("a and b collide"), ActFate::NotReached)] {
             let (mut played, planner) = plays(answer, OnFailure::Stop);
@@ -312,7 +312,7 @@ fn stays_at(rests_at: f64) -> Played {
 }
 
 #[test]
-fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_act_after_a_failure() {
+fn robots_do_not_jump_to_first_positions_of_the_act_after_a_failure() {
     for (rests_at, plays_it) in [(0.0, false), (45.0, true)] {
         let mut played = stays_at(rests_at);
         fails_towards_another_act(&mut played, Rest::InPlace);
@@ -334,7 +334,7 @@ fn states_positions_by_sensors(played: &mut Played) {
 }
 
 #[test]
-fn an_act_does_not_miss_its_time_because_a_position_never_rests() {
+fn position_that_never_rests_does_not_make_an_act_late() {
     for by_sensor in [false, true] {
         let mut played = stays_at(45.0);
         if by_sensor {
@@ -355,7 +355,7 @@ fn an_act_does_not_miss_its_time_because_a_position_never_rests() {
 }
 
 #[test]
-fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_act_after_a_failure() {
+fn slowing_device_is_read_until_at_rest_before_the_act_after_a_failure() {
     // The first step of the act is at 45. At first, the device is close to it.
     for (by_sensor, rests_at, plays_it) in
         [(false, 60.0, false), (false, 45.0, true), (true, 60.0, false), (true, 45.0, true)]
@@ -371,7 +371,7 @@ fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_
 }
 
 #[test]
-fn a_device_that_slows_down_while_another_robot_is_silent_goes_home_from_where_it_rests() {
+fn device_goes_home_from_its_rest_position_while_another_robot_is_silent() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     played.mute = vec![1];
     played.slows = Some((played.now + ms(700), 0.01));
@@ -384,7 +384,7 @@ fn a_device_that_slows_down_while_another_robot_is_silent_goes_home_from_where_i
 }
 
 #[test]
-fn a_robot_that_confirms_its_stop_only_after_the_mission_has_gone_on_plays_the_next_act() {
+fn robot_that_confirms_its_stop_late_plays_the_next_act() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mission.options.transfer = None;
     played.mute = vec![1];
@@ -408,7 +408,7 @@ fn a_robot_that_confirms_its_stop_only_after_the_mission_has_gone_on_plays_the_n
 }
 
 #[test]
-fn movements_that_failures_may_cause_are_announced_before_a_mission() {
+fn possible_movements_after_failures_are_announced_before_a_mission() {
     let mut show = choreography(&[&[("a", 0, 400)]]);
     for name in ["second", "third", "bow"] {
         let mut act = show.acts[0].clone();

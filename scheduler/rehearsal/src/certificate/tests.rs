@@ -31,14 +31,14 @@ fn read(text: &str) -> Result<Certificate, CertificateError> {
 }
 
 #[test]
-fn what_is_written_is_read_again_and_has_the_same_bytes() {
+fn written_certificate_is_read_back_with_identical_bytes() {
     let text = certificate().text();
     let read = read(&text).unwrap();
     assert_eq!((read.text(), differences(&read, &subject())), (text, Vec::new()));
 }
 
 #[test]
-fn a_certificate_that_is_cut_off_anywhere_is_refused() {
+fn certificate_truncated_anywhere_is_refused() {
     let text = certificate().text();
     let whole = text.trim_end().len();
     for end in 0..whole {
@@ -47,7 +47,7 @@ fn a_certificate_that_is_cut_off_anywhere_is_refused() {
 }
 
 #[test]
-fn a_certificate_that_was_changed_anywhere_is_refused() {
+fn certificate_changed_anywhere_is_refused() {
     let text = certificate().text();
     let changes = [
         ("\"seed\": 7", "\"seed\": 8"),
@@ -63,7 +63,7 @@ fn a_certificate_that_was_changed_anywhere_is_refused() {
 }
 
 #[test]
-fn another_version_of_the_document_is_refused_before_anything_of_it_is_read() {
+fn another_document_version_is_refused_before_the_rest_is_read() {
     let error = read(r#"{"certificate": 2, "new": "keys"}"#).unwrap_err();
     assert!(matches!(error, CertificateError::Version { version: 2, .. }), "{error}");
     for text in ["[]", "{}", r#"{"certificate": "1"}"#, r#"{"certificate": 1}"#] {
@@ -74,7 +74,7 @@ fn another_version_of_the_document_is_refused_before_anything_of_it_is_read() {
 }
 
 #[test]
-fn a_certificate_of_another_program_does_not_certify_what_this_one_plays() {
+fn certificate_of_another_version_does_not_certify_this_one() {
     let mut certificate = certificate();
     certificate.downbeat = "0.0.1".to_owned();
     let found = differences(&certificate, &subject());
@@ -82,7 +82,7 @@ fn a_certificate_of_another_program_does_not_certify_what_this_one_plays() {
 }
 
 #[test]
-fn every_part_that_differs_is_named() {
+fn every_difference_is_named() {
     let check = |change: fn(&mut Subject), says: &str| {
         let mut now = subject();
         change(&mut now);

@@ -479,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn every_robot_is_faulty_in_three_ways_and_all_promises_hold() {
+    fn all_promises_hold_with_three_kinds_of_faults_on_every_robot() {
         let (choreography, fleet) = three();
         let all = faults(&choreography);
         assert_eq!(all.len(), 19);
@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_whose_part_comes_later_in_an_act_need_not_begin_once_another_has_failed() {
+    fn robot_with_a_later_part_need_not_begin_after_another_has_failed() {
         let (mut choreography, fleet) = three();
         // The start is after the middle of the act, where faults occur.
         let start = Millis::from_span(Span::from_millis(2_000));
@@ -587,7 +587,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_dies_while_it_may_be_left_out_is_and_the_others_play_on() {
+    fn robot_that_dies_is_left_out_where_permitted_and_the_others_continue() {
         let (mut choreography, fleet) = three();
         choreography.acts[0].on_failure.default = OnFailure::Without;
         for injected in faults(&choreography) {

@@ -82,7 +82,7 @@ fn moved(logs: &[Vec<LogEntry>]) -> usize {
 }
 
 #[test]
-fn six_robots_behind_slow_links_start_within_the_error_of_their_clocks() {
+fn six_robots_on_slow_links_start_within_their_clock_error() {
     let played = play_with(six(|_, _| {}), MissionOptions::default());
     assert_eq!(played.report.outcome, Outcome::Done);
     let starts: Vec<i64> = played.logs.iter().map(|log| log[0].true_ns).collect();
@@ -107,22 +107,22 @@ fn check_none_starts(fault: Fault, says: &str) {
 }
 
 #[test]
-fn if_one_refuses_none_starts() {
+fn no_robot_starts_if_one_refuses() {
     check_none_starts(Fault::Refuse, "busy");
 }
 
 #[test]
-fn if_one_is_silent_none_starts() {
+fn no_robot_starts_if_one_is_silent() {
     check_none_starts(Fault::Silent, "silent: no acceptance by `shoulder`");
 }
 
 #[test]
-fn if_one_disconnects_after_acceptance_none_starts() {
+fn no_robot_starts_if_one_disconnects_after_acceptance() {
     check_none_starts(Fault::Disconnect, "link down");
 }
 
 #[test]
-fn a_clock_that_is_surely_off_keeps_the_fleet_from_starting() {
+fn certainly_wrong_clock_keeps_the_fleet_from_starting() {
     let settings = six(|id, settings| {
         settings.delay = None;
         settings.ntp_error = (id != 2).then_some(Span::ZERO);
@@ -134,7 +134,7 @@ fn a_clock_that_is_surely_off_keeps_the_fleet_from_starting() {
 }
 
 #[test]
-fn each_robot_that_keeps_a_fleet_from_starting_is_named_once_for_its_own_reason() {
+fn each_robot_that_prevents_a_start_is_named_once_with_its_own_reason() {
     let settings = six(|id, settings| {
         settings.delay = (id == 4).then_some((Span::from_millis(60_000), Span::from_millis(60_000)));
         settings.ntp_error = (id != 2).then_some(Span::ZERO);
@@ -150,7 +150,7 @@ fn each_robot_that_keeps_a_fleet_from_starting_is_named_once_for_its_own_reason(
 }
 
 #[test]
-fn too_short_a_lead_is_refused_with_the_lead_that_is_needed() {
+fn short_lead_is_refused_with_the_required_lead() {
     let options = MissionOptions { lead: Some(Span::from_millis(100)), ..MissionOptions::default() };
     let played = play_with(six(|_, _| {}), options);
     let Outcome::LeadTooShort { needed, .. } = played.report.outcome else {
@@ -163,7 +163,7 @@ fn too_short_a_lead_is_refused_with_the_lead_that_is_needed() {
 }
 
 #[test]
-fn a_static_fleet_starts_without_steps_one_to_four() {
+fn static_fleet_starts_without_protocol_steps_one_to_four() {
     let settings = six(|_, settings| settings.delay = None);
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
     let played = play_with(settings, options);
@@ -172,7 +172,7 @@ fn a_static_fleet_starts_without_steps_one_to_four() {
 }
 
 #[test]
-fn the_same_seed_plays_the_same_mission() {
+fn same_seed_gives_the_same_mission() {
     let json = |played: Played| serde_json::to_string(&played.report).unwrap();
     let once = json(play_with(six(|_, _| {}), MissionOptions::default()));
     assert_eq!(once, json(play_with(six(|_, _| {}), MissionOptions::default())));
@@ -191,7 +191,7 @@ fn with_policy(policy: downbeat_scripts::OnFailure, settings: Vec<Settings>) -> 
 }
 
 #[test]
-fn without_a_robot_that_refuses_the_others_go_on() {
+fn others_continue_without_a_robot_that_refuses() {
     let settings = six(|id, settings| {
         settings.delay = None;
         settings.fault = (id == 3).then_some(Fault::Refuse);
@@ -205,7 +205,7 @@ fn without_a_robot_that_refuses_the_others_go_on() {
 }
 
 #[test]
-fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
+fn robot_without_ntp_starts_with_the_others_if_its_clock_is_measured() {
     let machines: Vec<_> = (0..2)
         .map(|id| {
             let ntp_error = (id == 0).then_some(Span::ZERO);
@@ -285,7 +285,7 @@ fn played_through(rehearsal: Rehearsal) -> (Played, u32) {
 }
 
 #[test]
-fn the_operator_says_go_to_whichever_act_waits_for_it() {
+fn operator_go_applies_to_whichever_act_waits_for_it() {
     for waiting in [&[0][..], &[1], &[2], &[1, 2], &[0, 1, 2]] {
         let rehearsal = acts(|acts| waiting.iter().for_each(|act| acts[*act].wait = Wait::Operator));
         let (played, ended) = played_through(rehearsal);
@@ -299,7 +299,7 @@ fn bounded(acts_max: u32) -> MissionOptions {
 }
 
 #[test]
-fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
+fn loop_of_acts_is_played_three_times_or_as_often_as_requested() {
     let looped = |options| acts_with(options, |acts| acts[2].next = Way::Act(1));
     for (options, bound) in [(MissionOptions::default(), 9), (bounded(4), 4), (bounded(1), 1)] {
         let (played, ended) = played_through(looped(options));
@@ -311,7 +311,7 @@ fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
 }
 
 #[test]
-fn a_mission_that_ends_because_of_its_bound_says_so() {
+fn mission_that_ends_at_its_act_limit_reports_it() {
     let (played, _) = played_through(acts_with(bounded(2), |_| {}));
     assert_eq!(serde_json::to_value(&played.report).unwrap()["acts_max_reached"], 2);
     let (played, ended) = played_through(acts_with(bounded(3), |_| {}));
@@ -319,7 +319,7 @@ fn a_mission_that_ends_because_of_its_bound_says_so() {
 }
 
 #[test]
-fn the_act_that_follows_a_failure_counts_against_the_bound() {
+fn act_after_a_failure_counts_against_the_act_limit() {
     for (acts_max, reached) in [(1, Some(1)), (2, None)] {
         let mut rehearsal = acts_with(bounded(acts_max), |acts| acts[0].on_failure.then = Some(2));
         let refuses = Settings { fault: Some(Fault::Refuse), ..Settings::default() };
@@ -331,7 +331,7 @@ fn the_act_that_follows_a_failure_counts_against_the_bound() {
 }
 
 #[test]
-fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() {
+fn act_waiting_for_a_missing_reading_does_not_wait_forever() {
     let range = SensorRange::Above(1e9);
     let waits = Wait::Sensor { robot: block(0).id.to_string(), sensor: "none".into(), range };
     let (played, ended) = played_through(acts(|acts| acts[1].wait = waits.clone()));
@@ -348,14 +348,14 @@ fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() 
 }
 
 #[test]
-fn an_act_that_waits_for_a_time_waits_for_as_long_as_that_takes() {
+fn act_that_waits_for_a_time_waits_for_as_long_as_that_takes() {
     let later = Wait::TimeOfDay(Span::from_millis(72_000_000));
     let (played, ended) = played_through(acts(|acts| acts[1].wait = later.clone()));
     assert_eq!((played.report.outcome, ended, played.cut), (Outcome::Done, 3, None));
 }
 
 #[test]
-fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
+fn acts_that_only_wait_for_each_other_do_not_repeat_forever() {
     let waits = Wait::Sensor {
         robot: block(0).id.to_string(),
         sensor: "none".into(),
@@ -384,7 +384,7 @@ impl Audience for Reasons {
 }
 
 #[test]
-fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not_accepted() {
+fn stop_reason_names_the_failed_robot_or_counts_missing_acceptances() {
     let again = "2 of 2 robots did not accept their scripts in time; `act-0` is prepared again";
     for (refuse, begins) in [(&[1][..], "arm-1: "), (&[0, 1], again)] {
         let mut rehearsal = acts(|_| {});
@@ -403,7 +403,7 @@ fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not
 }
 
 #[test]
-fn acts_that_wait_for_nothing_follow_each_other_without_a_gap() {
+fn acts_without_waits_follow_each_other_without_a_gap() {
     // A device that holds only one script accepts the next one only after the first has ended.
     for (queue, gap) in [(1, Span::from_millis(371)), (2, Span::ZERO)] {
         let block = |id| {
@@ -461,7 +461,7 @@ fn preflight_at(shoulder: f64) -> (Outcome, downbeat_mission::Preflight) {
 }
 
 #[test]
-fn a_device_may_stand_two_steps_of_its_grid_from_the_first_keyframe() {
+fn device_may_be_two_grid_steps_from_the_first_keyframe() {
     for (stands, outcome) in [
         (45.0, Outcome::Ready),
         (47.0, Outcome::Ready),
@@ -474,7 +474,7 @@ fn a_device_may_stand_two_steps_of_its_grid_from_the_first_keyframe() {
 }
 
 #[test]
-fn a_preflight_shows_what_every_sensor_reads() {
+fn preflight_shows_every_sensor_reading() {
     let (_, preflight) = preflight_at(45.0);
     let readings: Vec<_> = preflight.rows[0]
         .readings

@@ -81,7 +81,7 @@ mod tests {
     use super::{Quantiles, Share};
 
     #[test]
-    fn quantiles_are_values_that_were_seen() {
+    fn quantiles_are_observed_values() {
         let of = |count: i64| Quantiles::of((1..=count).rev().map(Span::from_millis)).unwrap();
         let hundred = of(100);
         assert_eq!([hundred.p50, hundred.p99, hundred.max], [50, 99, 100].map(Span::from_millis));
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_is_wilsons() {
+    fn interval_is_the_wilson_interval() {
         // Expected values from Newcombe: Two-sided confidence intervals for the single proportion, 1998, table I.
         for (count, of, least, largest) in [
             (81, 263, 0.2553, 0.3662),

@@ -267,7 +267,7 @@ mod tests {
     use super::alike;
 
     #[test]
-    fn numbers_and_names_do_not_make_another_reason() {
+    fn reasons_differing_only_in_numbers_or_names_are_alike() {
         let silent = alike("silent: no acceptance by `z`, `yaw` within 101.101 ms");
         assert_eq!(silent, alike("silent: no acceptance by `x` within 98 ms"));
         assert_ne!(silent, alike("silent: no word shortly before the start within 98 ms"));

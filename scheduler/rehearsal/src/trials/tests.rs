@@ -60,7 +60,7 @@ fn results(scenario: &str, world: &str, count: u32) -> Results {
 }
 
 #[test]
-fn without_faults_all_start_and_finish_within_the_error_of_their_clocks() {
+fn all_start_and_finish_within_their_clock_error_without_faults() {
     let results = results(WAVE, "clocks: {all: {error: 2ms}}", 50);
     assert_eq!((results.starts.count, results.finishes.count), (50, 50), "{:?}", results.reasons);
     let spread = results.spread.unwrap();
@@ -78,7 +78,7 @@ clocks: {all: {error: 1ms}}
 incidents: [{robot: all, what: dies, at: {from: 0s, to: 9s}, back_after: 1s, probability: 10%}]";
 
 #[test]
-fn the_number_of_threads_changes_nothing_and_the_seed_does() {
+fn results_depend_on_the_seed_but_not_on_the_number_of_threads() {
     let stage = stage(WAVE, ROUGH);
     let json = |threads, seed| {
         serde_json::to_string(&stage.trials(seed).play(60, threads, |_| true).unwrap()).unwrap()
@@ -89,7 +89,7 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
 }
 
 #[test]
-fn a_trial_played_alone_ends_as_among_the_others() {
+fn trial_played_alone_ends_as_it_does_among_the_others() {
     let stage = stage(WAVE, ROUGH);
     let together = stage.play(60);
     let failed = together.each.iter().find(|trial| trial.outcome != "done").unwrap();
@@ -101,13 +101,13 @@ fn a_trial_played_alone_ends_as_among_the_others() {
 }
 
 #[test]
-fn fewer_trials_are_the_first_of_more() {
+fn fewer_trials_are_a_prefix_of_more() {
     let stage = stage(WAVE, ROUGH);
     assert_eq!(stage.play(20).each[..], stage.play(40).each[..20]);
 }
 
 #[test]
-fn a_robot_that_refuses_in_three_of_ten_missions_keeps_those_from_starting() {
+fn robot_that_refuses_three_of_ten_missions_keeps_those_from_starting() {
     let results = results(WAVE, "incidents: [{robot: cf2, what: refuses, probability: 30%}]", 300);
     let refused = results.aborts;
     assert!(refused.least < 0.3 && 0.3 < refused.largest, "{refused:?}");
@@ -120,7 +120,7 @@ fn a_robot_that_refuses_in_three_of_ten_missions_keeps_those_from_starting() {
 }
 
 #[test]
-fn a_robot_that_dies_in_the_middle_of_an_act_ends_it_after_all_have_begun() {
+fn robot_that_dies_during_an_act_ends_it_after_all_have_begun() {
     let results = results(WAVE, "incidents: [{robot: cf3, what: dies, act: wave, at: 2s}]", 20);
     assert_eq!((results.starts.count, results.finishes.count, results.mixed.count), (20, 0, 0));
     assert!(results.each.iter().all(|trial| trial.outcome == "failed" && trial.started == Started::All));
@@ -128,21 +128,21 @@ fn a_robot_that_dies_in_the_middle_of_an_act_ends_it_after_all_have_begun() {
 }
 
 #[test]
-fn a_robot_that_dies_before_the_start_keeps_all_of_them_from_starting() {
+fn robot_that_dies_before_the_start_keeps_all_robots_from_starting() {
     let results = results(WAVE, "incidents: [{robot: cf3, what: dies, act: wave, at: -200ms}]", 20);
     assert_eq!((results.starts.count, results.mixed.count, results.aborts.count), (0, 0, 20));
     assert!(results.each.iter().all(|trial| trial.started == Started::None));
 }
 
 #[test]
-fn a_robot_that_stalls_across_the_start_is_seen_to_begin_late() {
+fn robot_stalled_across_the_start_is_detected_as_starting_late() {
     let results =
         results(WAVE, "incidents: [{robot: cf3, what: stalls, act: wave, at: -5ms, lasts: 900ms}]", 5);
     assert_eq!((results.finishes.count, results.mixed.count), (0, 5), "{results:?}");
 }
 
 #[test]
-fn a_link_that_is_down_for_longer_than_the_lease_stops_the_mission() {
+fn link_down_longer_than_the_lease_stops_the_mission() {
     let long = "incidents: [{robot: cf1, what: link_down, act: wave, at: 1s, lasts: 3s}]";
     let short = "incidents: [{robot: cf1, what: link_down, act: wave, at: 1s, lasts: 100ms}]";
     assert_eq!(results(WAVE, long, 10).finishes.count, 0);
@@ -150,7 +150,7 @@ fn a_link_that_is_down_for_longer_than_the_lease_stops_the_mission() {
 }
 
 #[test]
-fn the_slowest_link_is_the_weakest_and_says_how_much_lead_would_be_enough() {
+fn slowest_link_is_the_weakest_and_reports_the_sufficient_lead() {
     let tolerant = WAVE.replace("start_tolerance: 20ms", "start_tolerance: 100ms");
     let results =
         results(&tolerant, "links: {cf2: {delay: 20ms}, all: {delay: 1ms}}\nclocks: {all: {error: 1ms}}", 20);
@@ -164,7 +164,7 @@ fn the_slowest_link_is_the_weakest_and_says_how_much_lead_would_be_enough() {
 }
 
 #[test]
-fn an_operator_who_never_says_go_leaves_the_act_waiting_and_that_is_the_reason() {
+fn missing_operator_go_leaves_the_act_waiting_and_is_the_reason() {
     let scenario = ACTS.replace("WAIT", "operator");
     let never = results(&scenario, "operator: {go_after: {from: 1s, to: 90s}, never: 25%}", 40);
     let waited = never.finishes.of - never.finishes.count;
@@ -173,7 +173,7 @@ fn an_operator_who_never_says_go_leaves_the_act_waiting_and_that_is_the_reason()
 }
 
 #[test]
-fn a_sensor_reads_what_the_world_says_when_it_says_so() {
+fn sensor_reads_the_values_of_the_world_at_their_times() {
     let scenario = ACTS.replace("WAIT", "{sensor: rover-1/range, below: 0.5}");
     let comes = results(&scenario, "sensors: {rover-1/range: [[0s, 2], [{from: 90s, to: 100s}, 0.4]]}", 3);
     assert_eq!(comes.finishes.count, 3, "{:?}", comes.reasons);

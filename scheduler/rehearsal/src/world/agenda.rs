@@ -52,7 +52,7 @@ mod tests {
     use crate::dry_run::BEGIN;
 
     #[test]
-    fn items_of_one_instant_keep_their_order_and_later_ones_wait() {
+    fn items_at_one_time_keep_their_order_and_later_ones_wait() {
         let mut agenda = Agenda::default();
         let later = BEGIN + Span::from_millis(1);
         for (at, item) in [(later, 'd'), (BEGIN, 'a'), (BEGIN, 'b'), (later, 'e'), (BEGIN, 'c')] {

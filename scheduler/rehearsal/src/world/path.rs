@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_has_the_mean_that_it_was_given() {
+    fn jitter_has_the_configured_mean() {
         let travels = travels(LinkWorld { jitter: Span::from_millis(5), ..says() });
         let mean = travels.iter().sum::<f64>() / travels.len() as f64;
         // The tolerance is five standard errors of the mean of 20,000 values.
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_drawn_by_quantiles_has_them() {
+    fn delays_drawn_from_quantiles_match_them() {
         let quantiles = [1, 2, 4, 20, 100].map(Span::from_millis);
         let travels = travels(LinkWorld { delay: Delay::Quantiles(quantiles), ..says() });
         let at = |share: f64| travels[(share * (travels.len() - 1) as f64) as usize];
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_sent_again_after_the_timeout_and_twice_as_long_after_the_next_loss() {
+    fn lost_message_is_resent_after_a_timeout_that_doubles_with_each_loss() {
         let travels = travels(LinkWorld { loss: 0.2, ..says() });
         let share =
             |millis: f64| travels.iter().filter(|t| (**t - millis).abs() < 0.001).count() as f64 / 20_000.0;
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_keep_their_order_behind_one_that_was_lost() {
+    fn messages_behind_a_lost_one_keep_their_order() {
         let mut line = Line::new(LinkWorld { loss: 0.3, ..says() }, 1);
         let sent = (0..200).map(|index| BEGIN + Span::from_millis(index));
         let arrivals: Vec<_> = sent.map(|at| line.arrival(at, Direction::FromRobot).unwrap()).collect();
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_attempt_to_connect_does_not_pass_an_interruption_that_the_first_met() {
+    fn second_connection_attempt_does_not_pass_the_interruption_of_the_first() {
         let mut line = Line::new(says(), 1);
         line.block(Span::from_millis(60_000));
         assert_eq!(line.connects(BEGIN), None);
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_for_a_held_stream_arrives_at_the_end_of_the_interruption() {
+    fn messages_on_a_held_stream_arrive_at_the_end_of_the_interruption() {
         let conditions = Conditions { transport: Transport::Held, ..says().into() };
         let mut line = Line::new(conditions, 1);
         line.path.block(Direction::ToRobot, BEGIN + Span::from_millis(500));
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn a_datagram_is_lost_in_an_interruption_and_overtakes_one_that_lags() {
+    fn datagram_is_lost_in_an_interruption_and_overtakes_a_lagging_one() {
         let transport = Transport::Datagram { loss: 0.0, double: 0.0 };
         let mut line = Line::new(Conditions { transport, ..says().into() }, 1);
         line.path.block(Direction::ToRobot, BEGIN + Span::from_millis(500));
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn interruptions_come_as_often_and_last_as_long_as_they_should() {
+    fn interruptions_have_the_configured_frequency_and_duration() {
         let lasts = Between { least: Span::from_millis(1_000), largest: Span::from_millis(3_000) };
         let kind = Interruptions { every: Span::from_millis(20_000), lasts };
         let mut line = Line::new(LinkWorld { interruptions: vec![kind], ..says() }, 3);

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_and_files_are_created_for_this_user_alone() {
+    fn folders_and_files_are_created_for_this_user_only() {
         let stage = tempfile::tempdir().unwrap();
         let (state, mission) = (stage.path().join("a/state"), stage.path().join("a/state/m"));
         create_folder(&mission).unwrap();
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_others_may_read_is_closed_to_them_and_one_that_they_may_write_is_refused() {
+    fn folder_readable_by_others_is_made_private_and_a_writable_one_refused() {
         let stage = tempfile::tempdir().unwrap();
         let state = stage.path().join("state");
         std::fs::create_dir(&state).unwrap();
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn what_belongs_to_another_user_is_refused_and_named() {
+    fn file_or_folder_of_another_user_is_refused_and_named() {
         let stage = tempfile::tempdir().unwrap();
         let state = stage.path().join("state");
         create_folder(&state).unwrap();
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_where_a_folder_is_to_be_created_is_named() {
+    fn file_in_place_of_a_new_folder_is_named() {
         let stage = tempfile::tempdir().unwrap();
         let path = stage.path().join("elsewhere");
         std::fs::write(&path, "text").unwrap();

@@ -63,7 +63,7 @@ fn written(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_mission_has_begun_once_its_fleet_is_checked() {
+fn mission_has_begun_once_its_fleet_is_checked() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     assert!(!has_begun(folder.path()));
@@ -74,7 +74,7 @@ fn a_mission_has_begun_once_its_fleet_is_checked() {
 }
 
 #[test]
-fn what_was_promised_is_read_back() {
+fn promises_are_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let Contents { opened: first, kept, .. } = read(&written(folder.path())).unwrap();
     assert_eq!(first, opened());
@@ -85,7 +85,7 @@ fn what_was_promised_is_read_back() {
 }
 
 #[test]
-fn a_mission_that_ended_is_known_as_such() {
+fn ended_mission_is_recognized() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut journal = Journal::open(folder.path()).unwrap();
@@ -114,7 +114,7 @@ fn promise(number: u32, scripts: Vec<PromisedScript>) -> Record {
 }
 
 #[test]
-fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases() {
+fn devices_clock_shift_and_leases_left_on_robots_are_read_back() {
     let lease = urrcp::Millis::new(2_000.0).ok();
     let folder = tempfile::tempdir().unwrap();
     let mut journal = Journal::open(folder.path()).unwrap();
@@ -132,7 +132,7 @@ fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases
 }
 
 #[test]
-fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_it() {
+fn leases_are_not_renewed_after_first_stop_unless_new_act_is_promised() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let renewed_until = || read(&path).unwrap().kept.left().renewed_until;
@@ -149,7 +149,7 @@ fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_i
 }
 
 #[test]
-fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
+fn dropping_a_robot_clears_its_stop_confirmation() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let robot = || RobotId::new("arm").unwrap();
@@ -179,7 +179,7 @@ fn ended_line(fate: ActFate, flaws: ActFlaws, again: bool) -> Vec<u8> {
 }
 
 #[test]
-fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended() {
+fn flaws_of_ended_acts_are_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
@@ -198,7 +198,7 @@ fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended(
 }
 
 #[test]
-fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played() {
+fn fates_of_played_and_skipped_acts_are_read_back_after_a_crash() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
@@ -220,7 +220,7 @@ fn end(folder: &Path) {
 }
 
 #[test]
-fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_last_lines() {
+fn mission_state_is_read_from_its_lock_and_last_journal_lines() {
     let folder = tempfile::tempdir().unwrap();
     written(folder.path());
     assert_eq!(life(folder.path()), MissionState::CutOff);
@@ -233,7 +233,7 @@ fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_l
 }
 
 #[test]
-fn a_lock_of_another_kind_does_not_keep_a_journal_shut() {
+fn lock_of_another_kind_does_not_block_opening_a_journal() {
     let folder = tempfile::tempdir().unwrap();
     let foreign = std::fs::File::open(written(folder.path())).unwrap();
     foreign.lock().unwrap();
@@ -242,7 +242,7 @@ fn a_lock_of_another_kind_does_not_keep_a_journal_shut() {
 }
 
 #[test]
-fn a_journal_whose_first_line_is_damaged_is_named() {
+fn journal_with_a_damaged_first_line_is_named() {
     let state = tempfile::tempdir().unwrap();
     let path = written(&state.path().join("a"));
     let mut bytes = std::fs::read(&path).unwrap();
@@ -276,7 +276,7 @@ fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
 }
 
 #[test]
-fn where_there_is_no_folder_of_the_state_there_are_no_missions() {
+fn missing_state_folder_contains_no_missions() {
     let state = tempfile::tempdir().unwrap();
     let missions = Missions::of(&state.path().join("none")).unwrap();
     assert_eq!((missions.found.len(), missions.unread()), (0, 0));
@@ -286,7 +286,7 @@ fn where_there_is_no_folder_of_the_state_there_are_no_missions() {
 }
 
 #[test]
-fn folders_of_which_nothing_is_known_are_counted_whether_damaged_or_refused() {
+fn damaged_and_refused_mission_folders_are_counted_as_unread() {
     let state = tempfile::tempdir().unwrap();
     for number in 1..=3 {
         mission(state.path(), number, 0, true);
@@ -306,7 +306,7 @@ fn folders_of_which_nothing_is_known_are_counted_whether_damaged_or_refused() {
 }
 
 #[test]
-fn old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays() {
+fn only_finished_journals_are_limited_in_number_and_size() {
     let state = tempfile::tempdir().unwrap();
     mission(state.path(), 0, 0, false);
     (1..=60).for_each(|number| mission(state.path(), number, 0, true));
@@ -320,7 +320,7 @@ fn old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays(
 }
 
 #[test]
-fn a_line_that_was_cut_off_or_changed_ends_what_is_believed() {
+fn truncated_or_changed_line_ends_the_trusted_part_of_a_journal() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let bytes = std::fs::read(&path).unwrap();
@@ -342,7 +342,7 @@ fn a_line_that_was_cut_off_or_changed_ends_what_is_believed() {
 }
 
 #[test]
-fn robots_that_only_lines_after_the_damage_name_are_withdrawn_as_well() {
+fn robots_named_only_after_journal_damage_are_withdrawn() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("journal");
     let mut journal = Journal::open(folder.path()).unwrap();
@@ -363,14 +363,14 @@ fn robots_that_only_lines_after_the_damage_name_are_withdrawn_as_well() {
 }
 
 #[test]
-fn a_journal_has_one_writer() {
+fn journal_has_one_writer() {
     let folder = tempfile::tempdir().unwrap();
     let _held = Journal::open(folder.path()).unwrap();
     assert!(Journal::open(folder.path()).is_err());
 }
 
 #[test]
-fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
+fn journal_truncated_anywhere_takes_further_records_and_reads_all_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let bytes = std::fs::read(&path).unwrap();
@@ -405,7 +405,7 @@ fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
 }
 
 #[test]
-fn a_journal_cut_within_its_first_line_can_begin_again() {
+fn journal_truncated_in_its_first_line_can_begin_again() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let bytes = std::fs::read(&path).unwrap();
@@ -426,7 +426,7 @@ fn on(disk: SimulatedDisk) -> Journal<SimulatedDisk> {
 }
 
 #[test]
-fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
+fn synced_records_survive_power_loss_wherever_unsynced_data_is_torn() {
     let mut survive = 0;
     loop {
         let mut journal = on(SimulatedDisk::default());
@@ -456,7 +456,7 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
 }
 
 #[test]
-fn a_full_disk_is_said_once_for_all_and_leaves_a_journal_that_can_be_taken_up() {
+fn full_disk_error_is_permanent_and_leaves_a_usable_journal() {
     let mut whole = on(SimulatedDisk::default());
     whole.begin(at(1), &opened()).unwrap();
     let begun = whole.into_disk().bytes().len();
@@ -478,7 +478,7 @@ fn a_full_disk_is_said_once_for_all_and_leaves_a_journal_that_can_be_taken_up() 
 }
 
 #[tokio::test]
-async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
+async fn writer_thread_reports_number_of_durable_records_on_disk() {
     let mut journal = on(SimulatedDisk::default());
     journal.begin(at(1), &opened()).unwrap();
     let mut writer = Writer::start(journal).unwrap();
@@ -497,7 +497,7 @@ async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
 }
 
 #[tokio::test]
-async fn the_thread_tells_that_the_journal_is_lost() {
+async fn writer_thread_reports_lost_journal() {
     let mut journal = on(SimulatedDisk::with_capacity(Some(1_000)));
     journal.begin(at(1), &opened()).unwrap();
     let mut writer = Writer::start(journal).unwrap();
@@ -518,7 +518,7 @@ fn promised(mission: &Path) -> (Journal, Vec<u8>) {
 }
 
 #[test]
-fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lock() {
+fn removed_moved_or_truncated_journal_is_rewritten_under_its_lock() {
     let mode = |path: &Path| std::os::unix::fs::MetadataExt::mode(&path.metadata().unwrap()) & 0o7777;
     let removals: [fn(&Path); 4] = [
         |state| std::fs::remove_dir_all(state).unwrap(),
@@ -555,7 +555,7 @@ fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lo
 }
 
 #[test]
-fn a_journal_that_cannot_be_written_again_takes_nothing_more_and_says_why() {
+fn journal_that_cannot_be_rewritten_accepts_no_records_and_reports_why() {
     let stage = tempfile::tempdir().unwrap();
     let (state, mission) = (stage.path().join("state"), stage.path().join("state/m"));
     let (mut journal, _) = promised(&mission);
@@ -577,7 +577,7 @@ fn a_journal_that_cannot_be_written_again_takes_nothing_more_and_says_why() {
 }
 
 #[tokio::test]
-async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durable() {
+async fn writer_thread_rewrites_removed_journal_before_reporting_records() {
     let stage = tempfile::tempdir().unwrap();
     let mission = stage.path().join("state/m");
     let (journal, _) = promised(&mission);
@@ -595,7 +595,7 @@ async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durabl
 }
 
 #[test]
-fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() {
+fn journal_records_are_read_with_times_up_to_the_damage() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
@@ -619,7 +619,7 @@ fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() 
 }
 
 #[test]
-fn a_journal_of_another_version_is_not_read() {
+fn journal_of_another_version_is_not_read() {
     let state = tempfile::tempdir().unwrap();
     let path = written(&state.path().join("a"));
     let text = std::fs::read_to_string(&path).unwrap();
@@ -641,7 +641,7 @@ fn a_journal_of_another_version_is_not_read() {
 }
 
 #[test]
-fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided() {
+fn interrupted_mission_can_be_resumed_if_all_its_promises_are_decided() {
     let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
     let fate = |records: Vec<Record>| {
         let folder = tempfile::tempdir().unwrap();
@@ -680,7 +680,7 @@ fn kept(records: &[Record]) -> Kept {
 }
 
 #[test]
-fn a_mission_that_nobody_stopped_is_withdrawn_as_failed_and_one_that_was_being_stopped_as_its_stop_says() {
+fn withdrawn_mission_has_outcome_of_its_latest_stop_or_failed() {
     let ending = |records: &[Record]| kept(records).ending("no act was under way");
     let died = "the process of the mission died: no act was under way".to_owned();
     assert_eq!(ending(&[]), (Outcome::Failed, died.clone()));
@@ -722,7 +722,7 @@ fn failures_are_read_back() {
 }
 
 #[test]
-fn a_mission_whose_act_was_withdrawn_and_prepared_again_can_be_resumed() {
+fn mission_with_act_withdrawn_and_prepared_again_can_be_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.begin(at(1), &opened()).unwrap();

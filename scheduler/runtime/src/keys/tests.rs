@@ -93,7 +93,7 @@ fn operator() -> Name {
 }
 
 #[test]
-fn robot_and_operator_of_one_authority_know_each_other() {
+fn robot_and_operator_of_same_authority_authenticate_each_other() {
     let site = Site::new();
     let cf1 = site.of(&robot("cf 1/ö"), &[]);
     let anna = site.of(&operator(), &[Role::Observe, Role::Stop]);
@@ -104,7 +104,7 @@ fn robot_and_operator_of_one_authority_know_each_other() {
 }
 
 #[test]
-fn an_operator_of_another_authority_is_no_operator() {
+fn operator_of_another_authority_is_refused() {
     let (site, other) = (Site::new(), Site::new());
     let (by_robot, by_operator) =
         meet(&site.of(&robot("cf1"), &[]), &other.of(&operator(), &Role::ALL), None);
@@ -112,7 +112,7 @@ fn an_operator_of_another_authority_is_no_operator() {
 }
 
 #[test]
-fn a_certificate_that_has_expired_or_does_not_count_yet_is_refused() {
+fn expired_or_not_yet_valid_certificate_is_refused() {
     let site = Site::new();
     let cf1 = site.of(&robot("cf1"), &[]);
     let expired = site.until(&operator(), &Role::ALL, calendar() - 20 * DAY, 10);
@@ -128,7 +128,7 @@ fn a_certificate_that_has_expired_or_does_not_count_yet_is_refused() {
 }
 
 #[test]
-fn what_is_revoked_is_refused_from_the_next_connection_on_and_what_is_renewed_is_not() {
+fn revoked_keys_are_refused_on_next_connection_and_renewed_ones_accepted() {
     let site = Site::new();
     let (cf1, cf2) = (site.of(&robot("cf1"), &[]), site.of(&robot("cf2"), &[]));
     let anna = site.of(&operator(), &Role::ALL);
@@ -151,7 +151,7 @@ fn what_is_revoked_is_refused_from_the_next_connection_on_and_what_is_renewed_is
 }
 
 #[test]
-fn a_robot_is_no_operator_and_an_operator_no_robot() {
+fn robot_key_cannot_act_as_operator_nor_operator_key_as_robot() {
     let site = Site::new();
     let (cf1, cf2) = (site.of(&robot("cf1"), &[]), site.of(&robot("cf2"), &[]));
     let anna = site.of(&operator(), &Role::ALL);
@@ -160,7 +160,7 @@ fn a_robot_is_no_operator_and_an_operator_no_robot() {
 }
 
 #[test]
-fn keys_are_private_and_not_made_twice() {
+fn keys_are_private_and_issued_only_once() {
     let site = Site::new();
     let keys = site.folder.path().join("keys");
     let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
@@ -186,7 +186,7 @@ fn keys_are_private_and_not_made_twice() {
 }
 
 #[test]
-fn an_authority_is_made_once_and_has_to_be_there() {
+fn authority_is_created_once_and_must_exist_to_be_opened() {
     let site = Site::new();
     let keys = site.folder.path().join("keys");
     drop(site.authority);
@@ -202,7 +202,7 @@ fn an_authority_is_made_once_and_has_to_be_there() {
 }
 
 #[test]
-fn no_pipe_is_waited_for_in_place_of_a_file() {
+fn pipe_in_place_of_key_file_is_refused_without_waiting() {
     let site = Site::new();
     let keys = site.folder.path().join("keys");
     for name in ["issued.jsonl", "revoked.pem"] {
@@ -220,7 +220,7 @@ fn no_pipe_is_waited_for_in_place_of_a_file() {
 }
 
 #[test]
-fn a_list_of_revoked_certificates_is_not_taken_for_an_identity() {
+fn authority_certificate_is_not_accepted_as_revocation_list() {
     let site = Site::new();
     let authority = site.folder.path().join("keys/authority.pem");
     let no_list = Revoked::in_file(&authority).unwrap_err().to_string();
@@ -232,7 +232,7 @@ fn passes(site: &Site, operator: &str) -> Option<String> {
 }
 
 #[test]
-fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() {
+fn operator_has_pass_for_each_robot_with_secret_until_either_is_revoked() {
     let site = Site::new();
     site.of(&operator(), &[Role::Drive]);
     assert!(passes(&site, OPERATOR).is_none());
@@ -276,7 +276,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
 }
 
 #[test]
-fn the_passes_for_a_thousand_robots_are_read_whole() {
+fn passes_for_a_thousand_robots_are_all_read() {
     let site = Site::new();
     site.of(&operator(), &[Role::Drive]);
     site.of_secret(&"r0".parse().unwrap(), IfThere::Keep).unwrap();

@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_robot_reads_is_the_same_with_a_script_that_was_published_as_with_all_of_it() {
+    fn robot_reads_same_bytes_with_published_scripts_as_without() {
         let question = Message::AvailabilityRequest(AvailabilityRequest::default());
         let cancel = Message::ControlRequest(ControlRequest::immediate(
             "d".parse().unwrap(),
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn in_another_encoding_and_where_it_is_not_published_a_script_goes_whole() {
+    fn script_is_sent_whole_if_unpublished_or_in_another_encoding() {
         for (encoding, is_published) in [(Encoding::MessagePack, true), (Encoding::Json, false)] {
             let (mut batch, mut whole) = (Batch::default(), Vec::new());
             batch.push(encoding, &request(), |script| text_of(script).filter(|_| is_published));

@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_asked_for_is_taken_from_a_reserve_that_fills_with_time() {
+    fn unrequested_messages_use_a_reserve_that_refills() {
         let mut budget = Budget::new(Asked::default());
         assert_eq!(taken(&mut budget, at(0), 100), RESERVE_MESSAGES);
         assert_eq!(taken(&mut budget, at(500), 100), REFILL_MESSAGES / 2);
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_long_messages_flood_as_well() {
+    fn few_long_messages_also_cause_flooding() {
         let mut budget = Budget::new(Asked::default());
         assert_eq!(taken(&mut budget, at(0), 1024 * 1024), 4);
         let Err(Loss::Flooding { messages, bytes }) = budget.take_bytes(at(0), 1) else { panic!() };
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn every_request_allows_its_answers_also_on_a_later_link_and_the_reserve_is_that_of_the_robot() {
+    fn requests_allow_answers_on_later_links_and_reserve_is_per_robot() {
         let asked = Asked::default();
         (0..32_000).for_each(|_| asked.note(&request(), 100));
         let mut first = Budget::new(asked.clone());
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_description_may_be_as_long_as_a_line_and_only_once_however_often_it_was_asked_for() {
+    fn repeated_description_requests_allow_only_one_maximum_length_line() {
         let asked = Asked::default();
         let question = Message::InitializationRequest(InitializationRequest::default());
         (0..10).for_each(|_| asked.note(&question, 30));
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_robot_that_has_flooded_only_the_answers_to_further_requests_are_heard_and_only_for_a_moment() {
+    fn after_flooding_only_answers_to_new_requests_pass_and_only_briefly() {
         let asked = Asked::default();
         let mut first = Budget::new(asked.clone());
         assert!(!first.is_sifted());
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_answers_every_question_never_floods() {
+    fn robot_that_answers_every_request_never_floods() {
         let asked = Asked::default();
         let mut budget = Budget::new(asked.clone());
         let names = vec!["request".parse().unwrap(); 100];
@@ -366,14 +366,14 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_may_tell_what_becomes_of_scripts_that_another_process_has_sent() {
+    fn robot_may_report_outcomes_of_scripts_sent_by_another_process() {
         let asked = Asked::default();
         asked.note_held(50);
         assert_eq!(taken(&mut Budget::new(asked), at(0), 100), RESERVE_MESSAGES + 50 * ANSWERS_TO_A_REQUEST);
     }
 
     #[test]
-    fn an_answer_may_be_as_long_as_what_was_asked_about() {
+    fn allowed_answer_length_grows_with_number_of_inquired_requests() {
         let inquiry = Inquiry {
             requests: (0..9).map(|index| RequestId::new(format!("r{index}")).unwrap()).collect(),
             ..Inquiry::default()
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_has_flooded_may_describe_itself_as_often_as_it_is_asked_to() {
+    fn robot_that_flooded_may_send_each_requested_description() {
         let asked = Asked::default();
         taken(&mut Budget::new(asked.clone()), at(0), 100);
         let budget = Budget::new(asked.clone());
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_allows_three_answers_which_may_repeat_it_and_a_reading_is_not_repeated() {
+    fn three_answers_per_request_may_repeat_it_unless_it_reads_a_sensor() {
         let sensor = ControlRequest::immediate("s".parse().unwrap(), Command::ReadSensor);
         for (message, repeated) in [(request(), 8 * 100), (Message::ControlRequest(sensor), 0)] {
             let longest = usize::try_from(RESERVE_BYTES + 3 * ANSWER_BYTES + repeated).unwrap();

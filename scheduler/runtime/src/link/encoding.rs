@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_but_json_is_written_before_a_robot_has_said_that_it_understands_more() {
+    fn only_json_is_sent_until_robot_reports_support_for_other_encodings() {
         let encoding = LinkEncoding::once_listed(Encoding::MessagePack);
         assert_eq!(encoding.current(), Encoding::Json);
         encoding.hear(&block(""));

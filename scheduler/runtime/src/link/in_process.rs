@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_robot_of_this_process_answers_on_its_link_until_the_link_is_let_go_of() {
+    async fn in_process_robot_answers_until_its_link_is_dropped() {
         let host = host();
         let (link, mut happened) = linked(&host, 0);
         assert!(matches!(next(&mut happened).await, Some(Event::LinkUp { robot: 0 })));
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_robot_that_this_process_does_not_have_or_that_ends_is_told_as_lost() {
+    async fn missing_or_ended_in_process_robot_is_reported_as_lost() {
         let host = host();
         let (_other, mut of_other) = linked(&host, 1);
         let gone = next(&mut of_other).await;

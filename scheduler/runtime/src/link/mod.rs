@@ -323,7 +323,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn what_came_in_many_bytes_takes_a_place_for_each_sixty_four_thousand_that_it_began() {
+    async fn message_takes_one_queue_place_plus_one_per_full_64_kib() {
         for (bytes, taken) in [(0, 1), (PLACE_BYTES - 1, 1), (PLACE_BYTES, 2), (3 * PLACE_BYTES, 4)] {
             let places = Arc::new(Semaphore::new(PLACES));
             let (events, mut happened) = mpsc::channel(1);

@@ -305,7 +305,7 @@ mod tests {
     use downbeat_mission::{Event, Loss};
 
     #[test]
-    fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
+    fn tls_failure_is_explained_in_terms_of_certificates_and_their_owners() {
         for (error, expected) in [
             (
                 Error::InvalidCertificate(CertificateError::UnknownIssuer),
@@ -336,13 +336,13 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_that_breaks_is_no_denial() {
+    fn broken_connection_is_not_a_denial() {
         assert_eq!(denial(&io::ErrorKind::ConnectionReset.into()), None);
         assert_eq!(denial(&io::Error::other("no route")), None);
     }
 
     #[test]
-    fn without_an_identity_open_robots_alone_are_spoken_to() {
+    fn without_identity_only_open_robots_are_contacted() {
         let site = Site::of_files(None, None).unwrap();
         assert!(site.identity().is_none() && site.passes().held().is_empty());
         assert!(matches!(site.with(Protection::Open, None), Security::Plain));
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_robot_that_needs_to_know_who_speaks_is_not_spoken_to_without_an_identity() {
+    async fn protected_robot_is_not_contacted_without_an_identity() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let error = secured(stream, &Security::Nameless).await.err().unwrap();
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn whichever_robot_it_is_it_is_asked_again_with_its_own_pass_and_another_than_is_meant_is_not() {
+    async fn robot_is_retried_with_its_own_pass_unless_another_robot_is_intended() {
         let secret = sealed::Secret::generate().unwrap();
         let (host, address) = robot_b(secret.clone()).await;
         let other = "it is robot b, but your pass is for a different robot";
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn from_a_forged_refusal_follows_only_that_the_operator_is_not_let_in() {
+    async fn forged_refusal_results_only_in_denied_access() {
         let secret = sealed::Secret::generate().unwrap();
         let (host, address) = robot_b(secret.clone()).await;
         let passes = Arc::new(Passes::new(vec![held_by(&secret, "b")]));
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pass_is_that_of_the_robot_that_is_meant_or_the_first_one_if_any_is() {
+    fn pass_of_intended_robot_is_used_or_first_pass_if_none_is_intended() {
         let passes = Arc::new(Passes::new(vec![held("a"), held("b")]));
         let any = Hmac { passes: Arc::clone(&passes), robot: None };
         assert_eq!(any.pass().unwrap().robot.as_str(), "a");
@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn a_site_speaks_by_its_identity_file_and_to_robots_as_they_are_protected() {
+    fn site_uses_its_identity_file_and_the_protection_of_each_robot() {
         let folder = tempfile::TempDir::new().unwrap();
         let now = crate::keys::calendar();
         let authority = crate::keys::Authority::create(&folder.path().join("keys"), now).unwrap();
@@ -508,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_configuration_there_is_no_zenoh_network_and_it_is_told_why() {
+    fn without_configuration_zenoh_network_is_refused_with_a_reason() {
         let why = Site::default().with_zenoh(None).network().err();
         assert!(why.as_deref().is_some_and(|why| why.contains("`zenoh:` addresses")), "{why:?}");
     }

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_of_several_robots_is_shared_by_them_and_one_of_a_single_robot_is_not() {
+    fn scripts_are_shared_only_if_several_robots_have_them() {
         let [all, pair, own] = [1.0, 2.0, 3.0].map(|value| script(value, STEPS_MIN));
         // The list contains duplicates for one robot and is not sorted.
         let sent = [(2, &all), (0, &all), (0, &pair), (1, &all), (1, &pair), (0, &own), (0, &own)];
@@ -166,14 +166,14 @@ mod tests {
     }
 
     #[test]
-    fn scripts_of_the_same_robots_have_one_audience() {
+    fn scripts_of_same_robots_share_one_audience() {
         let [one, two] = [1.0, 2.0].map(|value| script(value, STEPS_MIN));
         let found = audiences(&[(0, &one), (1, &one), (1, &two), (0, &two)], &[&one, &two]);
         assert!(found[0].1[0].is_some() && found[0].1[0] == found[0].1[1], "{found:?}");
     }
 
     #[test]
-    fn a_robot_belongs_to_so_many_audiences_at_most_and_is_written_the_rest() {
+    fn robot_joins_limited_number_of_audiences_and_receives_rest_directly() {
         let scripts: Vec<_> = (0..40).map(|i| script(f64::from(i), STEPS_MIN)).collect();
         // Each script is shared with a different robot.
         let sent: Vec<_> =

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it() {
+    fn stop_goes_to_every_addressed_device_and_cancels_all_its_requests() {
         let book = SentScripts::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
         assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn readings_and_stops_leave_nothing_to_stop() {
+    fn sensor_reads_and_stops_leave_nothing_to_stop() {
         let book = SentScripts::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
         assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);

@@ -258,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_end_of_a_script_without_a_name_is_no_answer_to_a_stop_of_its_device() {
+    fn end_of_unnamed_script_does_not_answer_a_stop_of_its_device() {
         let device = |name: &str| name.parse::<DeviceId>().unwrap();
         let stop = ControlRequest::immediate(device("a"), Command::Script(Script::cancel()));
         let stop = Message::ControlRequest(stop);

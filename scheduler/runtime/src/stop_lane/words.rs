@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_second_ctrl_c_leaves() {
+    fn only_a_second_ctrl_c_exits() {
         let leaves = |asked, before| matches!(word_of(asked, before, false), Operator::Leave);
         assert!(!leaves(Asked::Interrupt, None));
         assert!(leaves(Asked::Interrupt, Some(Asked::Interrupt)));
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ctrl_c_stops_robots_on_their_way_home_before_another_one_leaves() {
+    fn ctrl_c_stops_robots_going_home_before_the_next_one_exits() {
         let stops = |before, goes_home| {
             let word = word_of(Asked::Interrupt, before, goes_home);
             matches!(word, Operator::Stop { rest: Rest::InPlace, .. })
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_alarm_rings_at_once_and_a_mission_that_takes_no_words_hears_of_the_stop_as_soon_as_it_does() {
+    fn alarm_rings_at_once_and_busy_mission_receives_stop_when_ready() {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(async {
             let (mission, mut words) = mpsc::channel(1);

@@ -57,7 +57,7 @@ fn check(act: &Act, columns: usize, expected: &str) {
 }
 
 #[test]
-fn cues_are_bars_with_slack_and_marks_in_the_order_of_their_starts() {
+fn cues_are_drawn_as_bars_with_slack_and_marks_in_order_of_start() {
     let cues = vec![
         cue("wave", [2_000, 4_000, 0], true),
         cue("nod", [0, 1_000, 1_500], false),
@@ -85,7 +85,7 @@ arm-1   ━━━━━━━━━━┊         ┊         ━━━━━━
 }
 
 #[test]
-fn a_chart_fits_any_terminal_and_shows_every_cue() {
+fn chart_fits_any_terminal_and_shows_every_cue() {
     let name = |index: i64| format!("{index} \u{1b}[2J 舞台 {}", "long ".repeat(20));
     let cues =
         (0..300).map(|index| cue(&name(index), [index * 7, index * 9, index], index % 3 == 0)).collect();
@@ -102,7 +102,7 @@ fn a_chart_fits_any_terminal_and_shows_every_cue() {
 }
 
 #[test]
-fn empty_acts_and_terminals_without_width_are_drawn() {
+fn empty_acts_and_zero_width_terminals_are_drawn() {
     for columns in [0, 1, 5, 20, UNBOUNDED] {
         for cues in [vec![], vec![cue("", [0, 0, 0], false)], vec![cue("late", [9, 9, 9], true)]] {
             for robots in [vec![], vec![arm(&[])], vec![arm(&[(0.0, 1.0)])]] {

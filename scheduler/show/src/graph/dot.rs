@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cues_on_the_critical_path_are_bold_and_red() {
+    fn critical_path_cues_are_bold_and_red() {
         let text = dot(&graph(
             "scenario: s\ncues:\n  - {cue: a, at: 1s}\n  - {cue: b, after: a + 2s}\n  - {cue: c, at: 0s}\n",
         ));
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn no_name_ends_its_string() {
+    fn hostile_names_are_escaped_in_dot_strings() {
         let text = dot(&hostile());
         let outside: Vec<&str> = text.lines().filter(|line| line.contains("script")).collect();
         // The two lines are the title of the act and the node of its cue.

@@ -222,7 +222,7 @@ cues:
 ";
 
     #[test]
-    fn an_edge_leads_from_the_cue_that_comes_first_and_is_critical_where_there_is_no_room() {
+    fn edge_starts_at_earlier_cue_and_is_critical_if_it_has_no_slack() {
         let graph = graph(THREE);
         let edge = |edge: &RelationEdge| (edge.from.clone(), edge.to.clone(), edge.critical);
         let edges: Vec<_> = graph.acts[0].relations.iter().map(edge).collect();
@@ -230,14 +230,14 @@ cues:
     }
 
     #[test]
-    fn bounds_of_a_cue_alone_stand_on_its_node() {
+    fn bounds_on_a_single_cue_are_shown_on_its_node() {
         let graph = graph(THREE);
         assert_eq!(graph.acts[0].cues[1].lines(), ["early", "at 1 s", "critical", "[at 1 s]"]);
         assert_eq!(graph.acts[0].cues[2].lines(), ["free", "at 0 ms", "slack 3 s", "[at 0 ms to 9 s]"]);
     }
 
     #[test]
-    fn the_course_has_every_way_out_of_an_act() {
+    fn course_contains_every_exit_of_an_act() {
         let graph = graph(
             "scenario: s
 acts:

@@ -202,14 +202,14 @@ mod tests {
     }
 
     #[test]
-    fn cues_share_rows_and_names_stand_where_there_is_room() {
+    fn cues_share_rows_and_names_are_placed_where_they_fit() {
         check([(0, 5_000), (5_100, 10_000)].into_iter(), 1, &[Label::Within], 0);
         check([(0, 100), (1_000, 1_100), (2_000, 10_000)].into_iter(), 2, &[Label::After, Label::Within], 0);
         check([(0, 5_000), (9_990, 10_000)].into_iter(), 1, &[Label::Within, Label::Before], 0);
     }
 
     #[test]
-    fn where_rows_run_out_names_are_left_out_and_then_cues() {
+    fn names_are_omitted_before_cues_when_rows_run_out() {
         let burst = |at: i64, cues: usize| (0..cues).map(move |_| (at, at + 10));
         let last = [(5_000, 10_000)];
         check(burst(0, 30).chain(burst(300, 30)).chain(last), 30, &[Label::LeftOut, Label::Within], 0);

@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_are_relative_and_short() {
+    fn points_are_encoded_as_short_relative_coordinates() {
         let points = [(1.0, 2.04), (1.55, 1.0), (0.0, 1.0), (10.0, 13.3)];
         assert_eq!(Pen::line(&points), "M1 2l.6-1-1.6 0 10 12.3");
         assert_eq!(Pen::dots(&points), "M1 2h0m.6-1h0m-1.6 0h0m10 12.3h0");
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hundred_thousand_steps_take_less_than_two_megabytes() {
+    fn hundred_thousand_steps_take_less_than_two_megabytes() {
         let lane: Vec<_> =
             (0..2_500).map(|step| (f64::from(step) * 0.72, f64::from(step * 37 % 221) / 10.0)).collect();
         let lane = Pen::line(&thinned(&lane, 1.0)).len() + Pen::dots(&thinned(&lane, 2.0)).len();
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn rounding_does_not_add_up() {
+    fn rounding_errors_do_not_accumulate() {
         let points: Vec<_> = (0..1_000).map(|index| (f64::from(index) * 0.04, 0.0)).collect();
         let line = Pen::line(&points);
         let right: f64 = line[1..].split(['l', ' ']).step_by(2).map(|x| x.parse::<f64>().unwrap()).sum();

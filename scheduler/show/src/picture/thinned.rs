@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_points_stay_and_many_keep_their_extremes_in_order() {
+    fn few_points_are_unchanged_and_many_keep_extremes_in_order() {
         let few = [(0.0, 1.0), (1.5, 3.0), (2.5, 2.0)];
         assert_eq!(thinned(&few, 1.0), few);
         let many: Vec<_> = (0..1_000).map(|index| (f64::from(index) / 100.0, 5.0)).collect();
@@ -38,7 +38,7 @@ mod tests {
     }
 
     #[test]
-    fn each_column_begins_and_ends_where_it_did() {
+    fn first_and_last_point_of_each_column_are_kept() {
         let points: Vec<_> = (0..500).map(|i| (f64::from(i) / 50.0, f64::from(i * 37 % 101))).collect();
         let kept = thinned(&points, 1.0);
         for column in 0..10 {

@@ -95,7 +95,7 @@ fn one_misses(ran: &mut Ran) -> usize {
 }
 
 #[test]
-fn a_start_on_some_robots_is_found_and_excused_only_by_a_fault_of_the_robot_that_missed_it() {
+fn partial_start_is_detected_unless_missing_robot_had_a_fault() {
     let with = |before: i64, fault: fn(usize, usize) -> Fault| {
         let mut ran = played();
         let missing = one_misses(&mut ran);
@@ -116,7 +116,7 @@ fn a_start_on_some_robots_is_found_and_excused_only_by_a_fault_of_the_robot_that
 }
 
 #[test]
-fn a_stall_of_the_scheduler_is_an_excuse_only_until_all_robots_have_answered_the_commitment() {
+fn scheduler_stall_is_an_excuse_only_until_all_robots_answer_commitment() {
     let with = |after: &dyn Fn(&Ran) -> Option<Timestamp<Server>>| {
         let mut ran = played();
         let _missing = one_misses(&mut ran);
@@ -134,7 +134,7 @@ fn a_stall_of_the_scheduler_is_an_excuse_only_until_all_robots_have_answered_the
 }
 
 #[test]
-fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_return() {
+fn process_end_known_before_point_of_no_return_is_no_excuse() {
     let no_return = |ran: &Ran| {
         ran.history.iter().find_map(|(_, happened)| match happened {
             Happened::Told(told) => match **told {
@@ -207,8 +207,7 @@ fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_
 }
 
 #[test]
-fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_while_the_scheduler_stood_still()
-{
+fn late_request_excuses_robot_only_with_slow_link_and_stalled_scheduler() {
     assert!(is_carried_over(-100, |robot, _| robot, true));
     assert!(!is_carried_over(-100, |_, other| other, true), "the link of another robot");
     assert!(!is_carried_over(-100, |robot, _| robot, false), "the scheduler could take it back");
@@ -279,8 +278,7 @@ fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stan
 }
 
 #[test]
-fn a_script_that_came_late_excuses_a_start_without_the_one_before_it_only_if_that_one_was_dropped_meanwhile()
-{
+fn late_script_excuses_start_without_predecessor_only_if_that_was_dropped() {
     assert!(outlives_the_first(0, |robot, _| robot, true));
     assert!(!outlives_the_first(0, |_, other| other, true), "the link of another robot");
     assert!(!outlives_the_first(0, |robot, _| robot, false), "the scheduler could take it back");
@@ -288,7 +286,7 @@ fn a_script_that_came_late_excuses_a_start_without_the_one_before_it_only_if_tha
 }
 
 #[test]
-fn a_commitment_that_is_written_down_after_the_start_is_found() {
+fn commitment_recorded_after_the_start_is_detected() {
     finds('a', |ran| {
         let after = promised(ran).start + Span::from_nanos(1);
         let commitment = |record: &Record| matches!(record, Record::Committed { .. });
@@ -306,7 +304,7 @@ fn missing_behind_a_link() -> (Ran, usize) {
 }
 
 #[test]
-fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+fn link_fault_does_not_excuse_robot_that_received_commitment_in_time() {
     let (mut ran, missing) = missing_behind_a_link();
     assert!(violated(&ran).contains('a'));
     // Removes the commitment, as if it had not arrived.
@@ -320,7 +318,7 @@ fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
 }
 
 #[test]
-fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commitment_came() {
+fn link_fault_excuses_robot_if_a_lease_expired_before_commitment_arrived() {
     let (mut ran, missing) = missing_behind_a_link();
     let shortened = |(at, happened): &(_, Happened)| match happened {
         Happened::AtRobot(robot, Message::Inquiry(inquiry))
@@ -341,7 +339,7 @@ fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commit
 }
 
 #[test]
-fn a_robot_that_was_left_out_because_it_missed_its_start_has_missed_it() {
+fn robot_dropped_after_its_start_is_reported_as_having_missed_it() {
     for (after_start, found) in [(10, true), (-10, false)] {
         let mut ran = played();
         let missing = one_misses(&mut ran);
@@ -353,7 +351,7 @@ fn a_robot_that_was_left_out_because_it_missed_its_start_has_missed_it() {
 }
 
 #[test]
-fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
+fn repeated_step_and_late_start_are_detected() {
     finds('b', |ran| {
         let robot = member(ran);
         let again = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().clone();
@@ -367,7 +365,7 @@ fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
 }
 
 #[test]
-fn a_movement_without_a_reason_is_found() {
+fn movement_without_a_reason_is_detected() {
     let stop_moves = |motion: MotionKind| {
         move |ran: &mut Ran| {
             let robot = member(ran);
@@ -406,7 +404,7 @@ fn moves_under_another_name(tells: bool) -> (Ran, usize) {
 }
 
 #[test]
-fn only_a_robot_that_tells_nothing_moves_under_another_name_than_was_promised() {
+fn only_a_robot_without_reports_may_move_under_another_request_id() {
     assert!(violated(&moves_under_another_name(true).0).contains('m'));
     let (mut ran, robot) = moves_under_another_name(false);
     let found = violated(&ran);
@@ -418,7 +416,7 @@ fn only_a_robot_that_tells_nothing_moves_under_another_name_than_was_promised() 
 }
 
 #[test]
-fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
+fn movement_after_a_stop_or_beyond_the_shorter_lease_is_detected() {
     finds('c', |ran| {
         let robot = ran.drawn.robots[member(ran)].block.id.clone();
         let at = promised(ran).start;
@@ -444,7 +442,7 @@ fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
 }
 
 #[test]
-fn a_value_outside_the_limits_is_found() {
+fn value_outside_the_limits_is_detected() {
     for value in [91.0, -0.5, f64::NAN] {
         finds('d', |ran| {
             let robot = member(ran);
@@ -454,13 +452,13 @@ fn a_value_outside_the_limits_is_found() {
 }
 
 #[test]
-fn a_mission_without_a_report_and_one_that_hangs_are_found() {
+fn mission_that_hangs_or_has_no_report_is_detected() {
     finds('e', |ran| ran.report = None);
     finds('h', |ran| ran.hung = true);
 }
 
 #[test]
-fn a_start_two_milliseconds_beyond_its_budget_is_found_and_excused_only_by_its_own_clock() {
+fn start_two_ms_over_budget_is_excused_only_by_the_robots_own_clock() {
     let late = |fault: Option<fn(usize, usize) -> Fault>| {
         let mut ran = played();
         let robot = member(&ran);
@@ -483,7 +481,7 @@ fn a_start_two_milliseconds_beyond_its_budget_is_found_and_excused_only_by_its_o
 }
 
 #[test]
-fn a_report_that_claims_one_step_more_or_less_is_found() {
+fn report_with_one_step_too_many_or_too_few_is_detected() {
     finds('g', |ran| said(ran).steps_done += 1);
     finds('g', |ran| said(ran).steps_done -= 1);
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].steps_done += 1);
@@ -499,7 +497,7 @@ fn a_report_that_claims_one_step_more_or_less_is_found() {
 }
 
 #[test]
-fn a_report_of_another_start_window_lead_or_doubt_is_found() {
+fn report_with_wrong_start_window_lead_or_doubt_is_detected() {
     let grain = Span::from_micros(2);
     finds('g', |ran| {
         let said = said(ran);
@@ -521,7 +519,7 @@ fn a_report_of_another_start_window_lead_or_doubt_is_found() {
 }
 
 #[test]
-fn an_outcome_or_a_fate_that_is_not_so_is_found() {
+fn incorrect_outcome_or_fate_in_report_is_detected() {
     finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::NotStarted);
     finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::DoneWithout);
     finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = downbeat_mission::ActFate::Withdrawn);
@@ -532,7 +530,7 @@ fn an_outcome_or_a_fate_that_is_not_so_is_found() {
 }
 
 #[test]
-fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_are_found() {
+fn robot_blamed_or_left_out_without_a_reason_is_detected() {
     let blame = |ran: &mut Ran| {
         let robot = ran.drawn.robots[member(ran)].block.id.clone();
         let kind = downbeat_mission::FailureKind::LinkDown { reason: "connection reset".to_owned() };
@@ -560,13 +558,13 @@ fn silent() -> Ran {
 }
 
 #[test]
-fn silence_that_nobody_was_told_of_is_found() {
+fn unreported_silence_is_detected() {
     let ran = silent();
     assert!(violated(&ran).contains('h'), "{:?}", ran.verdict().violations);
 }
 
 #[test]
-fn a_message_that_took_as_long_as_the_silence_does_not_excuse_it() {
+fn message_delayed_as_long_as_the_silence_does_not_excuse_it() {
     let mut ran = silent();
     let (start, robot) = (promised(&ran).start, member(&ran));
     let lasts = ran.drawn.choreography.acts[0].plan.duration();
@@ -583,7 +581,7 @@ fn a_message_that_took_as_long_as_the_silence_does_not_excuse_it() {
 }
 
 #[test]
-fn a_stop_that_is_not_heard_of_or_does_not_arrive_is_found() {
+fn ignored_or_undelivered_stop_is_detected() {
     let stopped = |drawn: &Drawn| {
         let by_the_operator = matches!(drawn.faults.as_slice(), [(_, Fault::Stop)]);
         by_the_operator && calm(&Drawn { faults: Vec::new(), ..drawn.clone() })
@@ -608,7 +606,7 @@ fn a_stop_that_is_not_heard_of_or_does_not_arrive_is_found() {
 }
 
 #[test]
-fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found() {
+fn lead_or_gap_far_beyond_same_mission_without_faults_is_detected() {
     let ran = played();
     let mut slow = played();
     assert_eq!(slow.compared_with(&ran).violations, []);
@@ -649,7 +647,7 @@ fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
 }
 
 #[test]
-fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
+fn jump_after_a_stop_is_detected_unless_it_begins_at_home() {
     assert!(jumps_after_a_stop_at(0.0, false, false));
     assert!(!jumps_after_a_stop_at(0.0, true, false));
     assert!(!jumps_after_a_stop_at(0.4, true, false), "the nearest position");
@@ -673,7 +671,7 @@ fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &downbeat_mission::Promi
 }
 
 #[test]
-fn a_long_lead_of_an_act_that_starts_at_its_own_time_is_sound_if_it_is_sent_only_a_little_ahead() {
+fn long_lead_of_timed_act_is_accepted_if_sent_only_slightly_ahead() {
     let at_its_time = |by, late| {
         with_a_lead_beyond(by, |ran, promise| {
             let at = promise.start - Span::from_nanos(late);
@@ -687,7 +685,7 @@ fn a_long_lead_of_an_act_that_starts_at_its_own_time_is_sound_if_it_is_sent_only
 }
 
 #[test]
-fn a_link_on_which_messages_wait_for_each_other_is_slow_at_several_moments_if_two_of_them_do_not_overlap() {
+fn queued_messages_are_several_delays_if_two_of_them_do_not_overlap() {
     let queues_for = |lasts: i64| {
         with_a_lead_beyond(1_000, |ran, promise| {
             let robot = member(ran);
@@ -702,7 +700,7 @@ fn a_link_on_which_messages_wait_for_each_other_is_slow_at_several_moments_if_tw
 }
 
 #[test]
-fn a_robot_that_lies_is_held_to_its_limits_and_believed_nothing_else() {
+fn lying_robot_is_checked_only_against_its_limits() {
     let mut ran = played();
     let robot = member(&ran);
     ran.drawn.robots[robot].lie = Some(Lie::NeverMoves);
@@ -721,7 +719,7 @@ fn with_rates(occurs: impl Fn(&Ran, &Verdict) -> bool) -> Ran {
 }
 
 #[test]
-fn a_way_to_rest_that_is_too_hard_or_turns_back_or_begins_elsewhere_is_found() {
+fn braking_that_is_too_hard_reverses_or_starts_elsewhere_is_detected() {
     let lasts = |braking: &&mut Braking| braking.lasts > Span::from_millis(20);
     for control_type in [ControlType::Position, ControlType::Speed] {
         let of_type = move |braking: &&mut Braking| braking.control_type == control_type && lasts(braking);
@@ -750,7 +748,7 @@ fn a_way_to_rest_that_is_too_hard_or_turns_back_or_begins_elsewhere_is_found() {
 }
 
 #[test]
-fn a_stop_at_once_of_a_device_that_declares_an_acceleration_is_found() {
+fn instant_stop_of_device_with_declared_acceleration_is_detected() {
     let slows = |ran: &Ran| {
         let of_speed = |braking: &&Braking| braking.control_type == ControlType::Speed;
         let first = |brakings: &Vec<Braking>| brakings.iter().position(|braking| of_speed(&braking));
@@ -766,7 +764,7 @@ fn a_stop_at_once_of_a_device_that_declares_an_acceleration_is_found() {
 }
 
 #[test]
-fn a_device_that_turns_beyond_its_lease_is_found() {
+fn device_turning_beyond_its_lease_is_detected() {
     let mut ran = with_rates(|_, verdict| verdict.situations.contains(&Situation::LeaseEndsTurning));
     let rests = |entry: &downbeat_robot::set_log::LogEntry| {
         entry.control_type == "speed" && entry.request_id.is_none()
@@ -776,7 +774,7 @@ fn a_device_that_turns_beyond_its_lease_is_found() {
 }
 
 #[test]
-fn a_robot_that_was_seized_and_plays_on_is_found() {
+fn seized_robot_that_keeps_playing_is_detected() {
     finds('c', |ran| {
         let robot = member(ran);
         let first = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().true_ns;
@@ -787,7 +785,7 @@ fn a_robot_that_was_seized_and_plays_on_is_found() {
 }
 
 #[test]
-fn a_report_that_does_not_say_by_whom_a_robot_was_taken_is_found() {
+fn report_that_omits_the_takeover_of_a_robot_is_detected() {
     let long = |drawn: &Drawn| {
         let plan = &drawn.choreography.acts[0].plan;
         calm(drawn) && plan.robots.iter().all(|robot| robot.scripts[0].script.steps().len() > 1)
@@ -805,7 +803,7 @@ fn a_report_that_does_not_say_by_whom_a_robot_was_taken_is_found() {
 }
 
 #[test]
-fn an_act_that_waits_for_another_time_of_day_than_the_clocks_next_show_is_found() {
+fn act_waiting_for_wrong_time_of_day_is_detected() {
     let moved = |seed, by: i64| {
         let mut ran = run(seed);
         let mut waits = false;

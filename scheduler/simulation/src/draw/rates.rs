@@ -138,7 +138,7 @@ mod tests {
     };
 
     #[test]
-    fn devices_turn_and_slow_down_within_what_they_declare() {
+    fn devices_turn_and_slow_down_within_declared_limits() {
         let reached = reached((RATES, 20_000), FAMILIES);
         let all = [
             SpeedSlows,

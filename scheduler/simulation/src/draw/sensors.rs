@@ -84,7 +84,7 @@ mod tests {
     use crate::Situation::{ReadWithoutNames, RefusedBySensor};
 
     #[test]
-    fn missions_know_positions_by_sensors_of_devices_that_move() {
+    fn missions_learn_positions_from_sensors_of_moving_devices() {
         let reached = reached((SENSORS, 20_000), FAMILIES);
         for situation in [RefusedBySensor, ReadWithoutNames] {
             assert!(reached.get(&situation).is_some_and(|count| *count > 3), "{reached:?}");

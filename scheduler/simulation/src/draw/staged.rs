@@ -146,7 +146,7 @@ mod tests {
     use crate::{draw, judge};
 
     #[test]
-    fn faults_meet_the_stages_for_which_their_seeds_stand() {
+    fn faults_occur_at_the_stages_assigned_to_their_seeds() {
         let mut met = 0;
         for seed in (STAGED..).step_by(FAMILIES as usize).take(cells().len()) {
             let ran = play(draw(seed));
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mission_that_plays_is_at_each_of_its_stages_in_order() {
+    fn playing_mission_passes_through_its_stages_in_order() {
         let stages = |seed| {
             let stages = crate::stage::stages(&play(draw(seed).without_faults()));
             stages.into_iter().map(|(_, stage)| stage).collect::<Vec<_>>()

@@ -112,7 +112,7 @@ mod tests {
     use crate::Situation::{AtItsTime, AtSkippedTime, AtTimeShownTwice, WaitsForAnotherDay};
 
     #[test]
-    fn acts_start_at_times_that_clocks_show_once_or_twice_or_skip() {
+    fn acts_start_at_clock_times_shown_once_twice_or_skipped() {
         let reached = reached((TIMES, 20_000), FAMILIES);
         for situation in [AtItsTime, AtTimeShownTwice, AtSkippedTime, WaitsForAnotherDay] {
             assert!(reached.contains_key(&situation), "{situation}");

@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn processes_die_between_decision_and_commitment_and_are_taken_up_before_the_start() {
+    fn processes_die_between_decision_and_commitment_and_resume_before_start() {
         let mut found = 0;
         for ran in such() {
             let crash =
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn links_break_while_a_robot_plays_and_stand_again_before_its_lease_is_over() {
+    fn links_break_during_play_and_recover_before_the_lease_expires() {
         let mut found = 0;
         for ran in such() {
             let Some(lease) = ran.drawn.choreography.acts[0].plan.stop_condition.running else { continue };
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn such_missions_violate_nothing() {
+    fn missions_with_combined_events_violate_no_invariant() {
         for ran in such() {
             assert_eq!(judge(&ran).violations, [], "seed {}", ran.drawn.seed);
         }

@@ -37,7 +37,7 @@ mod tests {
     use crate::Situation::MovesBehindTwin;
 
     #[test]
-    fn robots_move_whose_twins_were_stopped() {
+    fn robots_with_stopped_twins_still_move() {
         let reached = reached((TWINS, 20_000), TWINS_EVERY);
         assert!(reached.get(&MovesBehindTwin).is_some_and(|count| *count > 3), "{reached:?}");
     }

@@ -97,7 +97,7 @@ mod tests {
     use downbeat_mission::ActFate;
 
     #[test]
-    fn acts_are_repeated_begin_later_lack_a_robot_and_last_for_minutes() {
+    fn acts_are_repeated_begin_late_lack_a_robot_or_last_for_minutes() {
         let (mut repeated, mut later, mut without, mut long) = (0, 0, 0, 0);
         for seed in (UNUSUAL..10_000).step_by(FAMILIES as usize) {
             let ran = run(seed);

@@ -187,7 +187,7 @@ mod tests {
     use crate::signals::OnHangUp;
 
     #[test]
-    fn a_mission_that_answers_no_go_keeps_no_later_key_waiting() {
+    fn unanswered_go_does_not_delay_later_keys() {
         let (lane, mut operator) = StopLane::start(OnHangUp::End).unwrap();
         let mut speaker = Speaker::of(&lane);
         let (done, is_done) = std::sync::mpsc::sync_channel(1);
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_that_mean_nothing_are_passed_over() {
+    fn unknown_keys_are_ignored() {
         assert_eq!(
             [b'g', b'\r', b's', b'H', b'?'].map(Key::of),
             [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Home), Some(Key::Help)]

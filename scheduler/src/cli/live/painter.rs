@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn no_frame_is_left_on_a_screen_or_erased_from_its_first_cell() {
+    fn frames_are_erased_completely_but_never_from_the_first_cell() {
         for frames in [1, 2, 5] {
             let parser = on_a_clear_screen(frames);
             assert_eq!(parser.screen().contents(), "the report");

@@ -67,7 +67,7 @@ fn decided(model: &mut Model) {
 }
 
 #[test]
-fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
+fn greeted_robot_shows_clock_offset_in_same_format_as_later() {
     let mut model = meeting();
     let row = PreflightRow {
         robot: robot("arm-1"),
@@ -85,7 +85,7 @@ fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
 }
 
 #[test]
-fn a_decision_is_shown_with_its_point_of_no_return() {
+fn decision_is_shown_with_its_point_of_no_return() {
     let mut model = meeting();
     decided(&mut model);
     let text = drawn(&model, 2_000, 100, 20);
@@ -103,7 +103,7 @@ fn a_decision_is_shown_with_its_point_of_no_return() {
 }
 
 #[test]
-fn an_act_that_plays_shows_its_cues_and_what_the_robots_say() {
+fn playing_act_shows_its_cues_and_robot_reports() {
     let mut model = meeting();
     decided(&mut model);
     model.tell(at(5_001), &Progress::Started { robot: robot("arm-1"), error: Some(Span::from_millis(2)) });
@@ -119,7 +119,7 @@ fn an_act_that_plays_shows_its_cues_and_what_the_robots_say() {
 }
 
 #[test]
-fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
+fn wait_shows_sensor_reading_and_remaining_time() {
     let mut model = meeting();
     decided(&mut model);
     let awaits = "`rover-1/range` below 0.5".to_owned();
@@ -131,7 +131,7 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
 }
 
 #[test]
-fn a_wait_for_a_time_counts_down_to_it() {
+fn wait_for_a_time_shows_a_countdown() {
     let mut model = meeting();
     let waits = |act: &str, millis: i64| Progress::Waiting {
         act: act.to_owned(),
@@ -147,7 +147,7 @@ fn a_wait_for_a_time_counts_down_to_it() {
 }
 
 #[test]
-fn a_start_on_another_day_shows_its_date() {
+fn start_on_another_day_shows_its_date() {
     let mut model = meeting();
     let tomorrow = 24 * 3_600_000 + 5_000;
     let progress = Progress::Decided {
@@ -166,7 +166,7 @@ fn a_start_on_another_day_shows_its_date() {
 }
 
 #[test]
-fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
+fn skipped_act_is_no_longer_shown_as_waiting() {
     let mut model = meeting();
     let awaits = "the operator's go".to_owned();
     model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits, at: None });
@@ -177,7 +177,7 @@ fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
 }
 
 #[test]
-fn failing_robots_come_first_where_not_all_fit() {
+fn failed_robots_are_listed_first_if_not_all_fit() {
     let mut model = meeting();
     let choreography = Arc::clone(&model.choreography);
     model = Model::new(choreography, (0..200).map(|i| robot(&format!("r{i}"))), at(0));
@@ -191,7 +191,7 @@ fn failing_robots_come_first_where_not_all_fit() {
 }
 
 #[test]
-fn a_stop_shows_which_robots_have_not_confirmed() {
+fn stop_shows_robots_that_have_not_confirmed() {
     let mut model = meeting();
     decided(&mut model);
     for name in ["arm-1", "arm-2"] {
@@ -215,7 +215,7 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
 }
 
 #[test]
-fn a_way_home_shows_as_such_and_a_stop_after_it_as_one() {
+fn going_home_and_a_following_stop_are_shown_as_such() {
     let mut model = meeting();
     decided(&mut model);
     let started = |name: &str| Progress::Started { robot: robot(name), error: None };

@@ -42,7 +42,7 @@ fn got(address: SocketAddr, path: &str) -> String {
 }
 
 #[test]
-fn metrics_are_in_the_text_format_of_prometheus() {
+fn metrics_use_the_prometheus_text_format() {
     let page = got(served(&[Ok("")]), "/metrics");
     assert!(page.starts_with("HTTP/1.1 200"), "{page}");
     assert!(page.contains("content-type: text/plain; version=0.0.4"), "{page}");
@@ -52,7 +52,7 @@ fn metrics_are_in_the_text_format_of_prometheus() {
 }
 
 #[test]
-fn what_is_not_ready_says_so_for_all() {
+fn readiness_fails_and_lists_every_part_that_is_not_ready() {
     let address = served(&[Ok("one: ready"), Err("two: away"), Err("three: away")]);
     let (alive, ready) = (got(address, "/healthz"), got(address, "/readyz"));
     assert!(
@@ -81,7 +81,7 @@ fn other_paths_and_methods_are_refused() {
 }
 
 #[test]
-fn connections_that_say_nothing_leave_and_others_are_served_again() {
+fn silent_connections_are_closed_and_others_served_again() {
     let address = served(&[Ok("")]);
     let silent: Vec<_> = (0..2 * CONNECTIONS_MAX).map(|_| TcpStream::connect(address).unwrap()).collect();
     for mut stream in silent {

@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn a_urdf_becomes_a_chain_of_joints() {
+    fn urdf_becomes_a_chain_of_joints() {
         let body = body("urdf: arm.urdf, devices: {shoulder: pan}, radius: 0.05").unwrap();
         let names: Vec<&str> = body.joints.iter().map(|joint| joint.name.as_str()).collect();
         assert_eq!(names, ["shoulder", "elbow", "rail", "flange"]);
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_told_once() {
+    fn missing_part_is_reported_once() {
         faults("urdf: arm.urdf, radius: 0.05", &["the robot has no device for the joint `shoulder`"]);
         faults("urdf: arm.urdf, devices: {shoulder: 30}", &["the description has no collision shapes"]);
         faults(

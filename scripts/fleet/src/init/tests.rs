@@ -16,7 +16,7 @@ fn check_finding(text: &str, says: &str, line: usize) {
 }
 
 #[test]
-fn a_thrift_robots_description_becomes_a_block_that_takes_scripts() {
+fn thrift_robot_description_becomes_a_block_that_accepts_scripts() {
     let block = init_of(&source(TANK)).unwrap();
     assert_eq!((block.id.as_str(), block.robot_type), ("tank-1", Some(RobotType::Transport)));
     let left = block.device("left").unwrap();
@@ -29,13 +29,13 @@ fn a_thrift_robots_description_becomes_a_block_that_takes_scripts() {
 }
 
 #[test]
-fn a_block_written_as_an_init_file_is_read_back_as_it_was() {
+fn block_written_as_init_file_is_read_back_unchanged() {
     let block = init_of(&source(TANK)).unwrap();
     assert_eq!(init_of(&source(&init_text(&block))).unwrap(), block);
 }
 
 #[test]
-fn faults_of_a_description_are_found_with_their_lines() {
+fn faults_of_a_description_are_reported_with_their_lines() {
     check_finding(&TANK.replace("\"id\": \"tank-1\",", ""), "has no `id`", 1);
     check_finding(
         &TANK.replace(
@@ -60,7 +60,7 @@ fn faults_of_a_description_are_found_with_their_lines() {
 }
 
 #[test]
-fn a_device_without_room_for_a_command_or_a_step_is_found_at_its_key() {
+fn device_without_room_for_command_or_step_is_reported_at_its_key() {
     let block = |queue: u32, steps: u32| {
         format!(
             "id: r\napi_version: \"1\"\ndevices:\n- id: d\n  default_value: 0\n  script_queue: {queue}\n  available_control_types:\n    \
@@ -80,7 +80,7 @@ fn a_device_without_room_for_a_command_or_a_step_is_found_at_its_key() {
 }
 
 #[test]
-fn the_default_granularity_is_a_power_of_ten_of_which_a_thousand_fit() {
+fn default_granularity_is_power_of_ten_with_at_least_1000_steps() {
     let block = |range: &str| {
         init_of(&source(&format!("{{id: a, api_version: 1, devices: {{d: {{{range}}}}}}}"))).unwrap()
     };
@@ -113,7 +113,7 @@ devices:
 ";
 
 #[test]
-fn a_script_inherits_the_limits_that_it_leaves_out() {
+fn script_inherits_omitted_limits() {
     let block = init_of(&source(SHORT)).unwrap();
     let script = |device: &str| {
         let limits = &block.device(device).unwrap().available_control_types.script().unwrap().limits;
@@ -129,7 +129,7 @@ fn a_script_inherits_the_limits_that_it_leaves_out() {
 }
 
 #[test]
-fn all_faults_of_a_block_are_found_where_they_stand() {
+fn all_faults_of_a_block_are_reported_at_their_positions() {
     let wrong = SHORT
         .replace("granularity: 0.5", "granularity: 0")
         .replace("max_value: 45, ", "")
@@ -140,7 +140,7 @@ fn all_faults_of_a_block_are_found_where_they_stand() {
 }
 
 #[test]
-fn a_word_that_is_none_of_those_expected_is_found_where_it_stands() {
+fn unexpected_word_is_reported_at_its_position() {
     let wrong = SHORT.replace("api_version: \"1\"\n", "api_version: \"1\"\ntype: Humanoid\n");
     let findings = init_of(&source(&wrong)).unwrap_err();
     let places: Vec<_> = findings.iter().map(|finding| (finding.line, finding.column)).collect();
@@ -148,7 +148,7 @@ fn a_word_that_is_none_of_those_expected_is_found_where_it_stands() {
 }
 
 #[test]
-fn one_fault_of_a_block_is_one_finding() {
+fn single_fault_of_a_block_is_reported_once() {
     for (wrong, right, says, line) in [
         (
             "granularity: 0.5",
@@ -184,7 +184,7 @@ fn one_fault_of_a_block_is_one_finding() {
 }
 
 #[test]
-fn keys_without_effect_are_warned_of() {
+fn keys_without_effect_cause_warnings() {
     let ignored = |text: &str| {
         let Init::Block(_, warnings) = Init::read(source(text)).unwrap() else { panic!("{text}") };
         warnings.into_iter().map(|found| (found.line, found.hint.unwrap_or_default())).collect::<Vec<_>>()
@@ -209,7 +209,7 @@ fn keys_without_effect_are_warned_of() {
 }
 
 #[test]
-fn a_description_that_nests_deeply_is_refused_at_once() {
+fn deeply_nested_description_is_refused_at_once() {
     // Without the limit, this takes hours.
     check_finding(&"{a: [".repeat(1_000_000), "recursion limit", 1);
 }

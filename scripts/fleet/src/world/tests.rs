@@ -24,7 +24,7 @@ fn index(robot: &str) -> usize {
 }
 
 #[test]
-fn a_robots_own_entry_counts_before_that_of_its_group_and_that_before_all() {
+fn own_entry_overrides_group_entry_and_group_entry_overrides_all() {
     let world =
         read("world: w\nlinks: {cf1: {delay: 3ms}, drones: {delay: 2ms}, all: {delay: 1ms, loss: 0.5%}}")
             .unwrap();
@@ -38,7 +38,7 @@ fn a_robots_own_entry_counts_before_that_of_its_group_and_that_before_all() {
 }
 
 #[test]
-fn everything_that_a_world_can_hold_is_read() {
+fn world_with_every_supported_entry_is_read() {
     let world = read(
         "world: w
 links: {cf1: {delay: {least: 1ms, p50: 2ms, p90: 3ms, p99: 10ms, largest: 40ms}, interruptions: [{every: 2min, lasts: {from: 1s, to: 2s}}]}}
@@ -76,7 +76,7 @@ incidents:
 }
 
 #[test]
-fn all_mistakes_are_found_at_once_each_with_its_place() {
+fn all_mistakes_are_reported_at_once_with_their_positions() {
     let said = read(
         "world: w
 links:
@@ -123,7 +123,7 @@ incidents:
 }
 
 #[test]
-fn another_document_is_named_for_what_it_is() {
+fn other_document_types_are_named_in_the_error() {
     for (text, says) in [
         ("scenario: s\ncues: []", "this is a scenario, not a world file"),
         ("robots: {}", "this is a fleet file, not a world file"),

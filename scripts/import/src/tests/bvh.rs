@@ -4,7 +4,7 @@ use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};
 
 #[test]
-fn every_value_of_every_frame_arrives_as_it_stands_there() {
+fn every_value_of_every_frame_is_imported_unchanged() {
     let bytes = fixture_of("nod.bvh");
     let options = ImportOptions::default();
     let outcome = import_bytes(ImportFormat::Bvh, "nod.bvh", &bytes, &options);
@@ -28,7 +28,7 @@ fn every_value_of_every_frame_arrives_as_it_stands_there() {
 }
 
 #[test]
-fn captures_that_are_wrong_are_refused_where_they_are() {
+fn invalid_captures_are_refused_with_the_position() {
     let check = |text: &str, parts: &[&str]| refused(ImportFormat::Bvh, text.as_bytes(), parts);
     let head = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n}\nMOTION\n";
     check("", &["found ``", "`HIERARCHY`"]);

@@ -19,7 +19,7 @@ const BVH: &str =
     "HIERARCHY\nROOT a\n{\nCHANNELS 1 Xrotation\n}\nMOTION\nFrames: 4\nFrame Time: 0.0083333\n0\n1\n2\n3\n";
 
 #[test]
-fn times_keep_their_fractions_of_a_millisecond() {
+fn times_keep_fractions_of_a_millisecond() {
     use ImportFormat::{Bitbots, Bvh, Crazyswarm, Csv, JointTrajectory, PlayMotion2, Waypoints};
     let of = |which: ImportFormat| ALL.iter().find(|(format, _)| *format == which).unwrap().1;
     let csv = "t[s],a\n0,0\n0.0083333,1\n0.0086,2\n1.000000001,3\n";
@@ -60,7 +60,7 @@ fn times_keep_their_fractions_of_a_millisecond() {
 }
 
 #[test]
-fn only_equal_times_collide() {
+fn only_equal_times_are_refused_as_duplicates() {
     let text = "t[s],a\n0.0001,1\n0.0004,2\n0.0004,3\n";
     let outcome = import_bytes(
         ImportFormat::Csv,
@@ -76,7 +76,7 @@ fn only_equal_times_collide() {
 }
 
 #[test]
-fn jumps_of_about_a_turn_are_noted_with_the_option_that_continues_them() {
+fn jumps_of_about_a_turn_are_noted_with_the_unwrap_option() {
     let bvh = BVH.replace("\n0\n1\n2\n3\n", "\n170\n-175\n-160\n175\n");
     let (_, notes) = written(ImportFormat::Bvh, bvh.as_bytes(), None);
     let jumps: Vec<_> = notes.iter().filter(|note| note.contains("--unwrap a.Xrotation=360")).collect();

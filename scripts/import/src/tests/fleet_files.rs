@@ -16,7 +16,7 @@ const BODY: &str = "body: {x: x, y: y, z: z}";
 const AXES: [(&str, &str); 3] = [("r/x", "x"), ("r/y", "y"), ("r/z", "z")];
 
 #[test]
-fn robots_with_x_y_and_z_get_a_body_and_a_distance_with_its_origin() {
+fn robots_with_x_y_and_z_get_a_body_and_a_distance_with_its_source() {
     let csv = "t[s],x[mm],y[mm],z[mm]\n0,0,0,0\n1,1,1,1\n";
     for (format, bytes, maps) in [
         (ImportFormat::Waypoints, WAYPOINTS.as_bytes(), &[][..]),
@@ -33,7 +33,7 @@ fn robots_with_x_y_and_z_get_a_body_and_a_distance_with_its_origin() {
 }
 
 #[test]
-fn a_position_in_an_unknown_unit_is_noted_instead() {
+fn position_in_unknown_unit_is_noted_and_gives_no_body() {
     let csv = "t[s],x,y,z\n0,0,0,0\n1,1,1,1\n";
     let (text, outcome) = fleet(ImportFormat::Csv, csv.as_bytes(), &AXES);
     assert!(!text.contains("body") && !text.contains("space"), "{text}");

@@ -28,7 +28,7 @@ fn plain(frames: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn packed_channels_in_ranges_arrive_where_they_change() {
+fn packed_channel_ranges_are_imported_where_they_change() {
     let outcome =
         read(&fixture_of("star.fseq"), &[("star/lamp", "1,2,3"), ("star/px*", "4-6/1"), ("top/dim", "101")]);
     let imported = outcome.imported.unwrap();
@@ -56,7 +56,7 @@ fn packed_channels_in_ranges_arrive_where_they_change() {
 }
 
 #[test]
-fn sequences_that_lie_are_refused() {
+fn inconsistent_sequences_are_refused() {
     let file = fixture_of("star.fseq");
     refused(b"", &[("r/a", "1")], "PSEQ");
     refused(&file, &[], "none of the 9 channels is mapped to a device");
@@ -83,7 +83,7 @@ fn sequences_that_lie_are_refused() {
 }
 
 #[test]
-fn files_that_are_no_sequences_are_called_what_they_are() {
+fn files_of_other_types_are_identified_in_the_error() {
     let check = |bytes: &[u8], part: &str| super::refused(ImportFormat::Fseq, bytes, &["DB0001", part]);
     check(b"ESEQ\x01\0\0\0", "an effect sequence (ESEQ) of one model");
     check(b"<?xml version=\"1.0\"?>", "not rendered (XML)");

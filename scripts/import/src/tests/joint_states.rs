@@ -4,7 +4,7 @@ use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};
 
 #[test]
-fn recorded_positions_arrive_bit_by_bit() {
+fn recorded_positions_are_imported_exactly() {
     let bytes = fixture_of("arm.mcap");
     let outcome = import_bytes(ImportFormat::Mcap, "arm.mcap", &bytes, &ImportOptions::default());
     let imported = outcome.imported.unwrap();
@@ -21,7 +21,7 @@ fn recorded_positions_arrive_bit_by_bit() {
 }
 
 #[test]
-fn chunks_of_lz4_are_read_like_those_of_zstd() {
+fn lz4_chunks_are_read_like_zstd_chunks() {
     let of = |name: &str| {
         import_bytes(ImportFormat::Mcap, "arm.mcap", &fixture_of(name), &ImportOptions::default()).imported
     };
@@ -30,14 +30,14 @@ fn chunks_of_lz4_are_read_like_those_of_zstd() {
 }
 
 #[test]
-fn recordings_that_are_broken_are_refused() {
+fn broken_recordings_are_refused() {
     for name in ["arm.mcap", "arm_lz4.mcap"] {
         broken_recordings_of(name);
     }
 }
 
 #[test]
-fn an_attachment_that_ends_before_its_checksum_is_passed_over() {
+fn attachment_that_ends_before_its_checksum_is_ignored() {
     let magic = *b"\x89MCAP0\r\n";
     // Two times, two empty names, a data length, and no checksum: 32 bytes.
     let attachment = [&[9][..], &32_u64.to_le_bytes(), &[0; 32]].concat();
@@ -51,7 +51,7 @@ fn an_attachment_that_ends_before_its_checksum_is_passed_over() {
 }
 
 #[test]
-fn a_record_that_claims_any_length_is_refused() {
+fn record_with_false_length_is_refused() {
     let magic = *b"\x89MCAP0\r\n";
     for length in [64, u64::MAX - 8, u64::MAX] {
         let bytes = [&magic[..], &[12], &length.to_le_bytes(), &[0; 32], &magic].concat();

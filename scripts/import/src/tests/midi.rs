@@ -4,7 +4,7 @@ use super::{fixture_of, keyframes_of, refused};
 use crate::{Course, ImportFormat, ImportOptions, import_bytes};
 
 #[test]
-fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
+fn notes_and_controllers_follow_the_tempo() {
     let bytes = fixture_of("beat.mid");
     let outcome = import_bytes(ImportFormat::Midi, "beat.mid", &bytes, &ImportOptions::default());
     let imported = outcome.imported.unwrap();
@@ -29,7 +29,7 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
 }
 
 #[test]
-fn files_that_are_no_songs_are_refused() {
+fn invalid_midi_files_are_refused() {
     let bytes = fixture_of("beat.mid");
     refused(ImportFormat::Midi, b"", &["DB0001", "the file is empty"]);
     refused(ImportFormat::Midi, b"scenario: x", &["DB0001", "found `scen` at byte 0, expected `MThd`"]);
@@ -61,7 +61,7 @@ fn song(events: &[u8]) -> Vec<u8> {
 const END: [u8; 4] = [0, 0xff, 0x2f, 0];
 
 #[test]
-fn a_running_status_goes_on_behind_texts_and_exclusive_messages() {
+fn running_status_continues_after_text_and_exclusive_messages() {
     // A note, a text, and a note with running status; the same after an exclusive message.
     let notes = [0, 0x90, 60, 100, 96, 0xff, 1, 1, b'x', 0, 62, 90, 96, 0xf0, 2, 1, 0xf7, 0, 64, 80];
     let bytes = song(&[&notes[..], &END].concat());
@@ -74,7 +74,7 @@ fn a_running_status_goes_on_behind_texts_and_exclusive_messages() {
 }
 
 #[test]
-fn a_track_is_read_to_its_end_or_refused_at_the_byte_where_it_breaks() {
+fn track_is_read_to_its_end_or_refused_at_the_faulty_byte() {
     let check = |bytes: &[u8], parts: &[&str]| refused(ImportFormat::Midi, bytes, parts);
     let note = [0, 0x90, 60, 100];
     let whole = song(&[&note[..], &note, &END].concat());
@@ -97,7 +97,7 @@ fn a_track_is_read_to_its_end_or_refused_at_the_byte_where_it_breaks() {
 }
 
 #[test]
-fn other_chunks_and_what_follows_the_end_of_a_track_are_passed_over_with_a_note() {
+fn other_chunks_and_bytes_after_track_end_are_ignored_with_a_note() {
     let track = song(&[&[0, 0x90, 60, 100][..], &END].concat());
     let (head, chunk) = track.split_at(14);
     let foreign = [b"XFIH\0\0\0\x02ab".as_slice(), chunk].concat();

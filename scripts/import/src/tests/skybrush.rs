@@ -54,7 +54,7 @@ fn drawn(points: &[f64], share: f64) -> f64 {
 }
 
 #[test]
-fn curves_are_followed_to_a_millionth_of_a_micrometre() {
+fn curves_are_reproduced_within_a_picometre() {
     let bytes = fixture();
     let mut zip = zip::ZipArchive::new(Cursor::new(&bytes)).unwrap();
     let file = zip.by_name("drones/Drone 1/trajectory.json").unwrap();
@@ -90,7 +90,7 @@ fn curves_are_followed_to_a_millionth_of_a_micrometre() {
 }
 
 #[test]
-fn straight_ways_headings_and_lamps_arrive() {
+fn straight_paths_headings_and_lamps_are_imported() {
     let outcome = read(&fixture());
     let imported = outcome.imported.unwrap();
     assert_eq!(imported.robots(), ["Drone 1", "Drone 2"]);
@@ -117,7 +117,7 @@ fn straight_ways_headings_and_lamps_arrive() {
 }
 
 #[test]
-fn shows_that_are_wrong_are_refused_with_the_place() {
+fn invalid_shows_are_refused_with_the_position() {
     refused(b"no zip", &["DB0001", "this is not a ZIP archive"]);
     refused(&archive(&[("other.json", b"{}")]), &["show.skyc/show.json", "no such file", "`other.json`"]);
     refused(&archive(&[("show.json", b"{\"version\": 1,")]), &["DB0002", "show.skyc/show.json:1:"]);
@@ -149,7 +149,7 @@ fn shows_that_are_wrong_are_refused_with_the_place() {
 }
 
 #[test]
-fn archives_that_grow_beyond_all_measure_are_refused() {
+fn archives_that_expand_excessively_are_refused() {
     let zeros = vec![b' '; 9 << 20];
     let bomb = archive(&[("show.json", &zeros)]);
     assert!(bomb.len() < 20_000);

@@ -256,7 +256,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     #[test]
-    fn tables_are_what_a_second_reading_finds(table in table()) {
+    fn imported_tables_match_an_independent_reading(table in table()) {
         let (text, options) = table.written();
         let outcome = import_bytes(ImportFormat::Csv, "t.csv", text.as_bytes(), &options);
         prop_assert!(outcome.findings.is_empty(), "{text}\n{:#?}", outcome.findings);
@@ -270,7 +270,7 @@ proptest! {
 }
 
 #[test]
-fn a_scene_from_the_middle_of_a_timeline_is_noted_and_can_begin_at_once() {
+fn scene_from_mid_timeline_is_noted_and_can_start_at_once() {
     let text = "t[ms],a,b\n10000,0,\n10250,1,5\n";
     let columns = ["a", "b"].map(|name| (format!("r/{name}"), name.to_owned()));
     let options = ImportOptions { columns: columns.into(), ..ImportOptions::default() };

@@ -11,7 +11,7 @@ fn source(text: &str) -> Source {
 }
 
 #[test]
-fn joints_and_limits_are_those_that_another_reader_finds() {
+fn joints_and_limits_match_an_independent_reader() {
     let text = String::from_utf8(fixture_of("06-flexible.urdf")).unwrap();
     let outcome = urdf(&source(&text), None);
     assert_eq!(outcome.findings, []);
@@ -45,7 +45,7 @@ fn joints_and_limits_are_those_that_another_reader_finds() {
 }
 
 #[test]
-fn descriptions_that_are_wrong_are_refused_in_their_lines() {
+fn invalid_descriptions_are_refused_with_the_line() {
     #[track_caller]
     fn check(text: &str, parts: &[&str]) {
         let outcome = urdf(&source(text), None);

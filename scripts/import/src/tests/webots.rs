@@ -4,7 +4,7 @@ use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};
 
 #[test]
-fn a_motion_arrives_and_a_star_keeps_the_joint_where_it_is() {
+fn motion_is_imported_and_a_star_keeps_the_joint_position() {
     let bytes = fixture_of("hand_high.motion");
     let outcome = import_bytes(ImportFormat::Webots, "hand_high.motion", &bytes, &ImportOptions::default());
     let imported = outcome.imported.unwrap();
@@ -29,7 +29,7 @@ fn a_motion_arrives_and_a_star_keeps_the_joint_where_it_is() {
 }
 
 #[test]
-fn motions_that_are_wrong_are_refused_in_their_lines() {
+fn invalid_motions_are_refused_with_the_line() {
     let check = |text: &str, parts: &[&str]| refused(ImportFormat::Webots, text.as_bytes(), parts);
     check("", &["the file is empty"]);
     check("#WEBOTS,V1.0,a\n", &["DB0060", "test:1:1", "`#WEBOTS_MOTION`"]);

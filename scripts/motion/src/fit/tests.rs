@@ -126,7 +126,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn no_steps_are_fewer(case in cases(), tolerance in eighths(0..24)) {
+    fn fewest_steps_match_brute_force(case in cases(), tolerance in eighths(0..24)) {
         let all = case.brute_force();
         match (case.fewest(tolerance), all.fewest(tolerance)) {
             (Ok(fit), Some(fewest)) => {
@@ -149,7 +149,7 @@ proptest! {
     }
 
     #[test]
-    fn no_error_is_smaller(case in cases(), budget in 0usize..7) {
+    fn least_error_matches_brute_force(case in cases(), budget in 0usize..7) {
         let least = case.brute_force().least_error(budget);
         match case.least_error(budget) {
             Ok(fit) => {
@@ -200,7 +200,7 @@ fn fewest_anywhere(curve: &Samples, tolerance: f64) -> Option<usize> {
 
 proptest! {
     #[test]
-    fn no_steps_between_samples_are_fewer_than_the_bound(
+    fn steps_between_samples_are_never_fewer_than_the_bound(
         samples in prop::collection::vec((1i32..4, eighths(-12..12)), 2..5),
         tolerance in eighths(0..12),
     ) {
@@ -247,13 +247,13 @@ fn walks() -> impl Strategy<Value = (Vec<f64>, Vec<f64>)> {
 
 proptest! {
     #[test]
-    fn the_bound_is_the_fewest_straight_pieces((times, values) in walks(), room in eighths(0..80)) {
+    fn lower_bound_is_the_fewest_straight_pieces((times, values) in walks(), room in eighths(0..80)) {
         let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
         prop_assert_eq!(lower_bound(&curve, room), Some(pieces_by_pairs(&curve, room) + 1));
     }
 
     #[test]
-    fn a_fine_grid_keeps_the_tolerance_and_the_bound((times, values) in walks(), room in eighths(1..80)) {
+    fn fine_grid_keeps_the_tolerance_and_the_bound((times, values) in walks(), room in eighths(1..80)) {
         let curve = Samples { times: &times, values: &values, slack: 0.25, gaps: &[] };
         let grid = Grid { min: -1e4, max: 1e4, granularity: 1e-4 };
         let tolerance = room + 0.25;
@@ -269,7 +269,7 @@ proptest! {
     }
 
     #[test]
-    fn no_numbers_make_it_panic(
+    fn arbitrary_numbers_never_panic(
         times in prop::collection::vec(any::<f64>(), 0..5),
         values in prop::collection::vec(any::<f64>(), 0..5),
         (slack, min, max, granularity) in any::<(f64, f64, f64, f64)>(),
@@ -304,7 +304,7 @@ fn never_panics(
 }
 
 #[test]
-fn a_long_curve_is_as_good_as_its_bound() {
+fn fit_of_long_curve_is_at_most_one_step_above_its_bound() {
     let times: Vec<_> = (0..20_000).map(f64::from).collect();
     let values: Vec<_> = times.iter().map(|time| 40.0 * (time / 3_000.0).sin()).collect();
     let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };

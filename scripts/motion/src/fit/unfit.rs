@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_named() {
+    fn unusable_input_is_identified() {
         let free = Ends::default();
         check_unfit(&[], &[], GRID, free, Unfit::Empty);
         check_unfit(&[0.0, 1.0], &[0.0], GRID, free, Unfit::Sample(1));

@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_movement_repeats_without_a_seam_and_an_open_one_jumps() {
+    fn closed_movement_repeats_seamlessly_and_open_one_jumps() {
         let mut closed = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own), (20, 0.0, Shape::Own)]);
         closed.repeat(2, &Span::from_millis(20).into(), closed.length().into());
         assert_eq!(shown(&closed), [(0.0, 0.0), (10.0, 5.0), (20.0, 0.0), (30.0, 5.0), (40.0, 0.0)]);

@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn every_easing_but_the_step_is_its_own_mirror_image_as_a_movement_backwards_takes_it_to_be() {
+    fn every_easing_except_step_is_symmetric_as_reversal_assumes() {
         for (word, easing) in Easing::WORDS.into_iter().filter(|(_, easing)| *easing != Easing::Step) {
             for s in [0.0, 0.1, 0.25, 0.4, 0.5] {
                 let sum = easing.at(s) + easing.at(1.0 - s);
@@ -102,12 +102,12 @@ mod tests {
     }
 
     #[test]
-    fn every_word_of_a_row_names_an_easing() {
+    fn every_easing_word_names_an_easing() {
         assert!(downbeat_yaml::node::EASES.iter().all(|word| Easing::named(word).is_some()));
     }
 
     #[test]
-    fn every_easing_has_the_values_of_its_formula() {
+    fn every_easing_matches_its_formula() {
         for (word, easing) in Easing::WORDS {
             for (s, value) in [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().zip(known(easing).0) {
                 assert!((easing.at(s) - value).abs() < 1e-12, "{word} at {s}: {}, not {value}", easing.at(s));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_slope_of_every_easing_is_that_of_its_formula_and_of_its_values() {
+    fn largest_slope_of_every_easing_matches_formula_and_samples() {
         for (word, easing) in Easing::WORDS {
             let (_, slope, _) = known(easing);
             assert!((easing.slope_max() - slope).abs() < 1e-12, "{word}: {}", easing.slope_max());
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_curvature_of_every_easing_is_that_of_its_formula_and_of_its_values() {
+    fn largest_curvature_of_every_easing_matches_formula_and_samples() {
         for (word, easing) in Easing::WORDS {
             let (_, _, curvature) = known(easing);
             assert!((easing.curvature_max() - curvature).abs() < 1e-12, "{word}: {}", easing.curvature_max());

@@ -322,7 +322,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_peaks_of_a_polynomial_are_where_they_are() {
+    fn peak_rates_of_a_polynomial_match_its_samples() {
         let coefficients = vec![1.0, -3.0, 40.0, -170.0, 290.0, -214.0, 57.0];
         let (slope, curvature) = Function::Polynomial(coefficients.clone().into()).peak_rates();
         let (first, second) = (derivative(&coefficients), derivative(&derivative(&coefficients)));
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_speed_and_acceleration_along_a_path_are_those_of_its_sharpest_bend() {
+    fn largest_speed_and_acceleration_on_path_occur_at_sharpest_bend() {
         let points = [[0.0; 3], [10.0, 0.0, 0.0], [10.02, 0.02, 0.0], [10.02, 20.0, 0.0]];
         let path = Arc::new(Path::through(&points, false).unwrap());
         let (from, length) = (0.0, path.length());
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_speed_and_acceleration_with_turns_are_bounds_and_close_ones() {
+    fn largest_speed_and_acceleration_with_turns_are_tight_bounds() {
         for turns in [0.0, 0.3, 1.0, 7.3, -25.0, 140.7] {
             let axis = Swept { line: [1.0, 2.0, -0.5], radius: [2.0, 1.0], phase: 0.1, turns, carried: None };
             let (speed, acceleration) = Swept::together(std::slice::from_ref(&axis));

@@ -89,7 +89,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_runs_are_fewer(levels in prop::collection::vec(-6i32..7, 1..9), tolerance in 1i32..9) {
+        fn runs_are_as_few_as_possible(levels in prop::collection::vec(-6i32..7, 1..9), tolerance in 1i32..9) {
             let tolerance = f64::from(tolerance) / 2.0;
             let levels: Vec<f64> = levels.into_iter().map(|level| f64::from(level) / 2.0).collect();
             let found = runs(levels.chunks(1), f64::round, tolerance);

@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_path_through_points_of_a_circle_is_that_circle() {
+    fn closed_path_through_points_of_a_circle_is_that_circle() {
         let path = circle(64);
         assert!((path.length() - 4.0 * PI).abs() < 4e-6, "{}", path.length());
         for index in 0..1_000 {
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn paths_go_through_their_points_evenly_and_rates_are_what_differences_say() {
+    fn paths_pass_evenly_through_their_points_and_rates_match_differences() {
         let points = [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [4.0, 2.0, 1.0], [4.5, -1.0, 0.0], [2.0, -1.5, 3.0]];
         for closed in [false, true] {
             let path = Path::through(&points, closed).unwrap();
@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_that_stands_upright_has_no_heading_wherever_its_points_are() {
+    fn vertical_circle_has_no_heading_for_any_choice_of_points() {
         for index in 0..60 {
             let pitch = (0.05 + 0.1 * real(index)).to_radians();
             let point = |index: usize| {
@@ -392,12 +392,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_has_no_path() {
+    fn path_between_almost_identical_points_is_refused() {
         assert!(Path::through(&[[0.0; 3], [1e-200, 0.0, 0.0]], false).is_err());
     }
 
     #[test]
-    fn a_path_that_turns_back_is_refused_and_a_vertical_one_has_no_heading() {
+    fn path_that_turns_back_is_refused_and_vertical_one_has_no_heading() {
         let there_and_back = [[0.0; 3], [1.0, 0.0, 0.0], [0.0; 3]];
         assert_eq!(Path::through(&there_and_back, false), Err(TurnsBack { point: 1 }));
         let up = Path::through(&[[0.0; 3], [0.0, 0.0, 2.0]], false).unwrap();

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_spline_goes_through_its_points_smoothly_and_rests_at_both_ends() {
+    fn spline_passes_smoothly_through_its_points_and_rests_at_both_ends() {
         let (times, values) = ([0.0, 1.0, 3.0, 3.5], [0.0, 2.0, -1.0, 4.0]);
         let pieces = spline(&times, &values);
         let at = |c: &[f64; 4], s: f64| c[0] + s * (c[1] + s * (c[2] + s * c[3]));
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn the_natural_spline_is_straight_at_both_ends_and_smooth_between() {
+    fn natural_spline_is_straight_at_both_ends_and_smooth_between() {
         let (times, values) = ([0.0, 1.0, 3.0, 3.5], [0.0, 2.0, -1.0, 4.0]);
         let pieces = natural(&times, &values);
         let lengths: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();

@@ -151,14 +151,14 @@ pub fn parameter(
     entries: &[(String, Node)],
     cue_keys: &[&str],
 ) -> Option<String> {
-    let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
     let value = match value {
         Node::Number(number) => number.to_string(),
         Node::Text(text) => shortened(text),
         _ => return None,
     };
+    let plays = || entries.iter().any(|(key, _)| key == "move" || key == "sequence");
     let is_use =
-        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !cue_keys.contains(&key);
+        ["a cue", "an override", "an entry of `play`"].contains(&what) && !cue_keys.contains(&key) && plays();
     is_use.then(|| format!("write the value of a parameter as `parameters: {{{}: {value}}}`", shortened(key)))
 }
 

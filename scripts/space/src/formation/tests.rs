@@ -23,7 +23,7 @@ fn same(places: &[Point], expected: &[Point]) {
 }
 
 #[test]
-fn a_line_has_its_middle_at_0() {
+fn line_is_centred_at_0() {
     check(Shape::Line(Line::Spacing(2.0)), 1, &[[0.0; 3]]);
     check(Shape::Line(Line::Spacing(2.0)), 2, &[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]);
     check(Shape::Line(Line::Length(3.0)), 3, &[[-1.5, 0.0, 0.0], [0.0; 3], [1.5, 0.0, 0.0]]);
@@ -31,7 +31,7 @@ fn a_line_has_its_middle_at_0() {
 }
 
 #[test]
-fn a_circle_begins_at_the_x_axis_and_has_even_chords() {
+fn circle_begins_at_the_x_axis_and_has_equal_chords() {
     check(
         Shape::Circle(Ring::Radius(2.0)),
         4,
@@ -46,7 +46,7 @@ fn a_circle_begins_at_the_x_axis_and_has_even_chords() {
 }
 
 #[test]
-fn a_grid_is_filled_row_by_row_and_layer_by_layer() {
+fn grid_is_filled_row_by_row_and_layer_by_layer() {
     let grid = |columns, rows| Shape::Grid(Grid { spacing: [1.0, 2.0, 3.0], columns, rows });
     check(grid(None, None), 3, &[[-0.5, -1.0, 0.0], [0.5, -1.0, 0.0], [-0.5, 1.0, 0.0]]);
     check(grid(Some(3), None), 3, &[[-1.0, 0.0, 0.0], [0.0; 3], [1.0, 0.0, 0.0]]);
@@ -57,7 +57,7 @@ fn a_grid_is_filled_row_by_row_and_layer_by_layer() {
 }
 
 #[test]
-fn a_shape_is_turned_about_its_middle_and_then_moved() {
+fn shape_is_rotated_about_its_centre_and_then_moved() {
     let line = Shape::Line(Line::Spacing(2.0));
     let placing = Placing::default().turned([0.0, 0.0, 90.0], 0.5).moved([1.0, 2.0, 3.0]);
     let turned = Formation { shape: line.clone(), placing }.places(2).unwrap();
@@ -67,7 +67,7 @@ fn a_shape_is_turned_about_its_middle_and_then_moved() {
 }
 
 #[test]
-fn points_stay_where_they_are_and_turn_about_their_middle() {
+fn points_stay_in_place_and_rotate_about_their_centre() {
     let points: [Point; 2] = [[1.0, 0.0, 1.0], [3.0, 0.0, 1.0]];
     let (middle, sides) = middle_of(&points);
     assert_eq!((middle, sides), ([2.0, 0.0, 1.0], [2.0, 0.0, 0.0]));
@@ -80,14 +80,14 @@ fn points_stay_where_they_are_and_turn_about_their_middle() {
 }
 
 #[test]
-fn more_places_than_there_may_be_are_refused() {
+fn too_many_places_are_refused() {
     let line = of(Shape::Line(Line::Spacing(1.0)));
     assert!(line.places(PLACES_MAX).is_ok());
     assert_eq!(line.places(usize::MAX), Err(TooManyPlaces { count: usize::MAX }));
 }
 
 #[test]
-fn the_nearest_two_places_are_found() {
+fn nearest_two_places_are_found() {
     assert_eq!(nearest_pair(&[[0.0; 3]]), None);
     let grid = of(Shape::Grid(Grid { spacing: [1.0; 3], columns: None, rows: None }));
     let mut places = grid.places(1_000).unwrap();
@@ -100,7 +100,7 @@ fn the_nearest_two_places_are_found() {
 }
 
 #[test]
-fn a_v_has_its_tip_at_0_and_even_arms() {
+fn vee_has_its_tip_at_0_and_equal_arms() {
     let vee = Shape::Vee(Vee { spacing: 2.0, angle: 60.0 });
     let up = 3_f64.sqrt();
     check(vee.clone(), 1, &[[0.0; 3]]);
@@ -108,7 +108,7 @@ fn a_v_has_its_tip_at_0_and_even_arms() {
 }
 
 #[test]
-fn a_sphere_is_covered_evenly() {
+fn sphere_is_covered_evenly() {
     check(Shape::Sphere(Ball { radius: 2.0 }), 1, &[[2.0, 0.0, 0.0]]);
     check(Shape::Sphere(Ball { radius: 2.0 }), 0, &[]);
     for count in [2, 7, 30, 300, 3_000] {
@@ -122,7 +122,7 @@ fn a_sphere_is_covered_evenly() {
 }
 
 #[test]
-fn a_drawing_of_texts_alone_is_told_to_have_no_paths_but_texts() {
+fn drawing_with_only_text_is_reported_as_having_no_paths() {
     let drawing = |content: &str| {
         let text = format!(r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9">{content}</svg>"#);
         super::svg::read(text.as_bytes()).unwrap_err().message

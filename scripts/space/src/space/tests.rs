@@ -59,7 +59,7 @@ fn between(a: &Mover, b: &Mover) -> Approach {
 }
 
 #[test]
-fn two_points_that_pass_each_other_are_closest_between_their_steps() {
+fn two_passing_points_are_closest_between_their_steps() {
     let a = mover([axis(&[(0.0, 0.0), (10.0, 10.0)]), fixed(0.0), fixed(1.0), fixed(0.0)], &POINT, 10.0);
     let b = mover([axis(&[(0.0, 10.0), (10.0, 0.0)]), fixed(0.3), fixed(1.4), fixed(0.0)], &POINT, 10.0);
     let approach = between(&a, &b);
@@ -68,7 +68,7 @@ fn two_points_that_pass_each_other_are_closest_between_their_steps() {
 }
 
 #[test]
-fn a_device_that_is_set_at_once_passes_all_places_in_between() {
+fn device_that_jumps_passes_all_places_in_between() {
     let jumps =
         axis_of(&[&script(0.0, &[(0.0, 0.0), (1_000.0, 4.0), (2_000.0, 4.0)])], Interpolation::Hold, None);
     let a = mover([jumps.unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)], &POINT, 2.0);
@@ -77,7 +77,7 @@ fn a_device_that_is_set_at_once_passes_all_places_in_between() {
 }
 
 #[test]
-fn between_scripts_a_device_stays_and_before_its_first_step_it_moves_from_where_it_is() {
+fn device_rests_between_scripts_and_starts_from_its_current_position() {
     let (first, second) = (script(0.0, &[(1_000.0, 2.0)]), script(3_000.0, &[(1_000.0, 4.0)]));
     let moves = axis_of(&[&first, &second], Interpolation::Linear, Some(0.0)).unwrap();
     let path = Path::of(&[moves, fixed(0.0), fixed(0.0), fixed(0.0)], true);
@@ -92,7 +92,7 @@ fn between_scripts_a_device_stays_and_before_its_first_step_it_moves_from_where_
 }
 
 #[test]
-fn a_jump_at_the_start_is_a_way_only_if_the_place_before_it_is_sure() {
+fn initial_jump_is_a_movement_only_if_previous_place_is_certain() {
     let jumps = axis_of(&[&script(0.0, &[(0.0, 4.0), (1_000.0, 4.0)])], Interpolation::Linear, Some(0.0));
     let axes = [jumps.unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)];
     let b = mover([fixed(1.0), fixed(0.0), fixed(0.0), fixed(0.0)], &POINT, 1.0);
@@ -103,7 +103,7 @@ fn a_jump_at_the_start_is_a_way_only_if_the_place_before_it_is_sure() {
 }
 
 #[test]
-fn scripts_that_overlap_lead_to_no_time_that_goes_back() {
+fn overlapping_scripts_never_make_time_go_backwards() {
     let (first, second) =
         (script(0.0, &[(0.0, 0.0), (3_000.0, 3.0)]), script(1_000.0, &[(0.0, 1.0), (1_000.0, 5.0)]));
     let axes = [
@@ -118,7 +118,7 @@ fn scripts_that_overlap_lead_to_no_time_that_goes_back() {
 }
 
 #[test]
-fn a_box_that_turns_comes_closest_with_its_corner() {
+fn rotating_box_is_closest_with_its_corner() {
     let turn = axis(&[(0.0, 0.0), (2.0, std::f64::consts::PI)]);
     let long = Shape::Box { size: [2.0, 0.2, 0.2] };
     let turning = mover([fixed(0.0), fixed(0.0), fixed(0.0), turn], &long, 2.0);
@@ -133,7 +133,7 @@ fn a_box_that_turns_comes_closest_with_its_corner() {
 }
 
 #[test]
-fn bodies_that_move_absurdly_far_are_judged_in_no_time() {
+fn bodies_moving_absurdly_far_are_checked_quickly() {
     let shape = Shape::Box { size: [0.4, 0.3, 0.2] };
     for far in [1e6, 1e150, 1e308] {
         let way = || axis(&[(0.0, -far), (1.0, far), (2.0, -far)]);
@@ -146,7 +146,7 @@ fn bodies_that_move_absurdly_far_are_judged_in_no_time() {
 }
 
 #[test]
-fn the_first_contact_is_when_a_body_enters() {
+fn first_contact_is_the_moment_of_entry() {
     let way = axis(&[(0.0, -2.0), (4.0, 2.0), (8.0, -2.0)]);
     let ball = mover([way, fixed(0.0), fixed(0.0), fixed(0.0)], &Shape::Ball { radius: 0.1 }, 8.0);
     let pillar = mover([fixed(0.5), fixed(0.0), fixed(0.0), fixed(0.0)], &Shape::Box { size: [0.4; 3] }, 8.0);
@@ -158,7 +158,7 @@ fn the_first_contact_is_when_a_body_enters() {
 }
 
 #[test]
-fn what_a_body_leaves_is_measured_with_its_size() {
+fn distance_outside_volume_includes_the_size_of_the_body() {
     let hall = Volume { least: [-1.0, -1.0, 0.0], most: [1.0, 1.0, f64::INFINITY] };
     let out = |axes: [Axis; 4], shape: &Shape| furthest_out(&mover(axes, shape, 2.0), &hall);
     let way = || axis(&[(0.0, 0.0), (1.0, 0.95), (2.0, 0.0)]);
@@ -172,7 +172,7 @@ fn what_a_body_leaves_is_measured_with_its_size() {
 }
 
 #[test]
-fn speeds_count_in_all_directions_together_and_errors_of_steps_do_not() {
+fn speeds_combine_all_directions_and_ignore_step_errors() {
     let way = || axis(&[(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)]);
     let other = axis(&[(0.0, 0.0), (0.5, 0.0), (1.5, 4.0), (2.0, 4.0)]);
     let [speed, acceleration] = peaks(&[way(), other, fixed(0.0), fixed(0.0)]).map(Option::unwrap);
@@ -214,7 +214,7 @@ proptest! {
 
     /// The search finds a distance that is at most the least of many sampled distances, and that the bodies have at the reported time.
     #[test]
-    fn the_closest_approach_is_that_of_a_slow_search(a in body(), b in body()) {
+    fn closest_approach_matches_a_slow_search(a in body(), b in body()) {
         let ends = 20.0;
         let movers = [&a, &b].map(|(points, shape)| {
             mover(points.each_ref().map(|points| axis(points)), shape, ends)
@@ -233,7 +233,7 @@ proptest! {
 
     /// The closest approach does not depend on the depth of the tree.
     #[test]
-    fn the_depth_of_the_trees_changes_nothing(a in body(), b in body(), deep in 0u32..8) {
+    fn tree_depth_does_not_affect_the_result(a in body(), b in body(), deep in 0u32..8) {
         let found = [3, deep].map(|depth| {
             let of = |(points, shape): &([Vec<(f64, f64)>; 4], Shape)| {
                 Mover::new(Path::of(&points.each_ref().map(|points| axis(points)), true), solid(shape), 20.0, depth)
@@ -245,7 +245,7 @@ proptest! {
 }
 
 #[test]
-fn trees_are_as_deep_as_their_paths_are_long() {
+fn tree_depth_grows_with_path_length() {
     assert_eq!([0, 8, 16, 8_000, 100_000_000].map(depth), [0, 0, 1, 9, 12]);
 }
 
@@ -296,7 +296,7 @@ proptest! {
     /// The distance between boxes is the one that geometry gives. It is computed by a library, one of whose methods is wrong in one of
     /// sixteen cases.
     #[test]
-    fn the_distance_of_boxes_is_what_geometry_says(
+    fn distance_between_boxes_matches_geometry(
         size in [[0.05f64..1.0, 0.05..1.0, 0.05..1.0], [0.05f64..1.0, 0.05..1.0, 0.05..1.0]],
         place in [[-1.0f64..1.0, -1.0..1.0, -1.0..1.0, -3.0..3.0], [-1.0f64..1.0, -1.0..1.0, -1.0..1.0, -3.0..3.0]],
     ) {

@@ -90,7 +90,7 @@ fn sampled(a: &Way, b: &Way) -> f64 {
 }
 
 #[test]
-fn a_ring_of_exchanges_that_shortens_the_sum_is_found() {
+fn exchange_cycle_that_reduces_the_sum_is_found() {
     let starts = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
     let places = [[0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [2.0, 1.0, 0.0]];
     assert!(is_least(&starts, &places, &[0, 1, 2]));
@@ -98,7 +98,7 @@ fn a_ring_of_exchanges_that_shortens_the_sum_is_found() {
 }
 
 #[test]
-fn ways_of_a_hundred_bodies_are_at_most_one_percent_longer_than_the_least_on_twenty_pairs() {
+fn paths_of_100_bodies_are_within_one_percent_of_minimum_in_20_cases() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let mut pairs = 0;
     while pairs < 20 {
@@ -128,7 +128,7 @@ fn ways_of_a_hundred_bodies_are_at_most_one_percent_longer_than_the_least_on_twe
 }
 
 #[test]
-fn two_bodies_that_change_places_go_past_each_other_only_if_one_can_move_aside() {
+fn two_bodies_swap_places_only_if_one_can_move_aside() {
     let crossing = |heights: Option<[f64; 2]>| {
         let at = |x: f64| Body { heights, ..body([x, 0.0, 1.0], 0.2) };
         let (bodies, goals) = ([at(0.0), at(3.0)], [[3.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
@@ -142,7 +142,7 @@ fn two_bodies_that_change_places_go_past_each_other_only_if_one_can_move_aside()
 }
 
 #[test]
-fn the_shortest_time_that_is_named_is_enough_and_less_is_not() {
+fn reported_shortest_time_is_sufficient_and_less_is_not() {
     let limits = Limits { body: [1.5, 4.0], ..FREE };
     let bodies = [Body { limits, ..body([0.0; 3], 0.1) }];
     let over = |over| {
@@ -156,7 +156,7 @@ fn the_shortest_time_that_is_named_is_enough_and_less_is_not() {
 }
 
 #[test]
-fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways() {
+fn assignment_of_300_bodies_on_a_circle_has_the_least_sum() {
     let turn = |index: usize| {
         let angle = std::f64::consts::TAU * index as f64 / 300.0;
         [100.0 * angle.cos(), 100.0 * angle.sin(), 50.0]
@@ -168,7 +168,7 @@ fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways
 }
 
 #[test]
-fn bodies_in_equal_arcs_are_as_far_apart_all_the_time() {
+fn bodies_on_equal_arcs_keep_a_constant_distance() {
     let way = |x: f64| Way { lift: 3.0, ..Way::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
     let found = closest(&way(0.0), &way(0.5), 0.6).unwrap();
     // A search that stops at its limit returns a much lower bound.
@@ -177,7 +177,7 @@ fn bodies_in_equal_arcs_are_as_far_apart_all_the_time() {
 }
 
 #[test]
-fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way() {
+fn bodies_move_from_dense_grid_to_dense_circle_with_minimal_longest_path() {
     let starts: Vec<Point> =
         (0..300).map(|index| [(index % 20) as f64 * 1.5, (index / 20) as f64 * 1.5, 0.0]).collect();
     let turn = |index: usize| {
@@ -225,7 +225,7 @@ fn grid(count: usize, columns: usize, at: Point) -> Vec<Point> {
 }
 
 #[test]
-fn the_sum_is_least_where_many_ways_are_equal() {
+fn sum_is_least_with_many_equal_paths() {
     // Two grids have few different distances. If a grid is only raised, all assignments along a line are equivalent.
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 10, [7.0, 3.0, 5.0]), &[[0.0; 3]; 400]);
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 20, [0.0, 0.0, 9.0]), &[[0.0; 3]; 400]);
@@ -233,7 +233,7 @@ fn the_sum_is_least_where_many_ways_are_equal() {
 }
 
 #[test]
-fn the_sum_is_least_where_points_coincide() {
+fn sum_is_least_with_coinciding_points() {
     let same = [[3.0, 4.0, 0.0]; 200];
     check_sum(&same, &same, &same);
     check_sum(&same, &grid(200, 20, [0.0; 3]), &same);
@@ -244,7 +244,7 @@ fn the_sum_is_least_where_points_coincide() {
 }
 
 #[test]
-fn the_sum_is_least_with_many_more_places_or_bodies_on_equal_distances() {
+fn sum_is_least_with_far_more_places_or_bodies_at_equal_distances() {
     let (few, many) = (grid(60, 10, [0.0, 0.0, 4.0]), grid(500, 25, [-3.0, 2.0, 0.0]));
     check_sum(&few, &many, &few);
     check_sum(&many, &few, &many);
@@ -252,7 +252,7 @@ fn the_sum_is_least_with_many_more_places_or_bodies_on_equal_distances() {
 }
 
 #[test]
-fn an_auction_that_stops_early_is_proven_close_to_the_least_sum() {
+fn auction_stopped_early_is_proven_close_to_the_least_sum() {
     let turn = |index: usize| {
         let angle = std::f64::consts::TAU * index as f64 / 1_500.0;
         [477.0 * angle.cos(), 477.0 * angle.sin(), 60.0]
@@ -271,7 +271,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
     #[test]
-    fn the_sums_of_larger_groups_are_those_of_the_hungarian_algorithm(
+    fn sums_of_larger_groups_match_the_hungarian_algorithm(
         starts in points(1..300), places in points(1..300), homes in points(300), step in 0.01..4.0f64, go_home: bool,
     ) {
         // On a grid, many distances are equal, and points coincide.
@@ -285,7 +285,7 @@ proptest! {
     }
 
     #[test]
-    fn the_shortest_longest_way_of_larger_groups_leaves_no_shorter_one(
+    fn longest_path_of_larger_groups_cannot_be_shortened(
         starts in points(1..200), places in points(1..200), homes in points(200), step in 0.01..4.0f64,
     ) {
         let gridded = |points: &[Point]| -> Vec<Point> {
@@ -345,7 +345,7 @@ fn fits(starts: &[Point], places: &[Point], spare: &[Point], length: f64) -> boo
 
 proptest! {
     #[test]
-    fn the_least_sum_and_the_shortest_longest_way_are_those_of_all_orders(all in (1usize..=7).prop_flat_map(|n| points(2 * n))) {
+    fn least_sum_and_shortest_longest_path_match_all_permutations(all in (1usize..=7).prop_flat_map(|n| points(2 * n))) {
         let (starts, places) = all.split_at(all.len() / 2);
         let every = orders(starts.len());
         let sums = every.iter().map(|order| ways(starts, places, order).iter().sum::<f64>());
@@ -361,7 +361,7 @@ proptest! {
     }
 
     #[test]
-    fn with_fewer_places_or_bodies_those_are_taken_that_make_the_least_sum(
+    fn unequal_numbers_of_places_and_bodies_give_the_least_sum(
         starts in points(0..6), places in points(0..6), more in points(0..3), many: bool, homes in points(8), go_home: bool,
     ) {
         let (starts, places) = if many { (starts, [places, more].concat()) } else { ([starts, more].concat(), places) };
@@ -389,7 +389,7 @@ proptest! {
     }
 
     #[test]
-    fn no_sample_is_closer_than_the_stated_approach(
+    fn no_sample_is_closer_than_the_reported_approach(
         ends in points(4), times in prop::array::uniform4(0.1..5.0f64), lifts in prop::array::uniform2(-2.0..2.0f64), even: bool
     ) {
         let way = |index: usize| Way {
@@ -409,7 +409,7 @@ proptest! {
     }
 
     #[test]
-    fn bodies_that_are_let_through_keep_apart(
+    fn bodies_in_accepted_crossings_keep_apart(
         starts in points(2..9), shift in prop::array::uniform3(-8.0..8.0f64), keep in 0.05..1.0f64, canon in 0.0..1.0f64,
         longest: bool,
     ) {

@@ -45,7 +45,7 @@ fn fails(text: &str, code: Code, message: &str) {
 }
 
 #[test]
-fn numbers_may_be_expressions_with_their_units() {
+fn numbers_may_be_expressions_with_units() {
     check(
         "{line: {spacing: 2 * $a}, at: [$a / 2, 1, \"max(1, $a)\"]}",
         2,
@@ -68,7 +68,7 @@ fn numbers_may_be_expressions_with_their_units() {
 }
 
 #[test]
-fn the_longest_side_becomes_the_size() {
+fn longest_side_is_scaled_to_size() {
     check("{points: [[0, 0, 0], [1, 2, 0]], size: 4}", 2, &[[-0.5, -1.0, 0.0], [1.5, 3.0, 0.0]]);
     check(
         "{points: [[0, 0, 0], [1, 2, 0]], size: 1, at: [0, 0, 1]}",
@@ -84,7 +84,7 @@ fn the_longest_side_becomes_the_size() {
 }
 
 #[test]
-fn files_stand_where_they_are_written_and_drawings_are_given_a_size() {
+fn point_clouds_keep_their_coordinates_and_drawings_require_size() {
     let csv = One(b"0,0,1\n4,0,1\n");
     let places = |text: &str| read_with(text, &csv).0.unwrap().places(2).unwrap();
     assert_eq!(places("{cloud: a.csv}"), [[0.0, 0.0, 1.0], [4.0, 0.0, 1.0]]);
@@ -101,7 +101,7 @@ fn files_stand_where_they_are_written_and_drawings_are_given_a_size() {
 }
 
 #[test]
-fn each_fault_is_one_finding() {
+fn each_fault_causes_one_finding() {
     fails("{}", Code::MissingKey, "has 0 shapes");
     fails("{cirle: {radius: 1}}", Code::UnknownKey, "unknown key `cirle`");
     fails("{line: {spacing: 1}, circle: {radius: 1}}", Code::UnknownKey, "has 2 shapes");

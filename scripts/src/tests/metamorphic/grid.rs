@@ -67,7 +67,7 @@ proptest! {
 
     /// Both pairs of limits are between the same multiples of the granularity, so the device can be set to the same values.
     #[test]
-    fn limits_wider_by_less_than_the_grid_change_no_step(
+    fn limits_widened_by_less_than_grid_change_no_step(
         (moves, movement) in moving(), change in written(), tolerance in tolerances(),
         reach in 0i32..15, parts in [50i32..90, 90i32..100],
     ) {
@@ -84,7 +84,7 @@ proptest! {
     }
 
     #[test]
-    fn scripts_of_any_length_play_the_same_steps((moves, movement) in moving(), change in written(), most in 2usize..30) {
+    fn script_length_does_not_change_played_steps((moves, movement) in moving(), change in written(), most in 2usize..30) {
         let long = Device { moves, limits: [-1e3, 1e3], granularity: 0.5, most: 100_000 };
         let [one, chain] = [long, Device { most, ..long }].map(|device| device.plays(&movement.yaml, &change, &movement.csv));
         // Short scripts may leave too little time for sending them.
@@ -93,7 +93,7 @@ proptest! {
     }
 
     #[test]
-    fn more_steps_are_never_further_off((moves, movement) in moving(), change in written(), most in 2u32..30, more in 1u32..9) {
+    fn more_steps_never_increase_error((moves, movement) in moving(), change in written(), most in 2u32..30, more in 1u32..9) {
         let device = Device { moves, limits: [-1e3, 1e3], granularity: 0.5, most: 100_000 };
         let off = |most: u32| {
             let track = format!("tolerance: 1000, max_steps: {most}, {}", movement.yaml);

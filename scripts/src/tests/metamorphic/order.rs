@@ -17,20 +17,20 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(80) })]
 
     #[test]
-    fn a_fleet_in_another_order_does_the_same(show in shows(), order in Just(ROBOTS.to_vec()).prop_shuffle()) {
+    fn order_of_robots_in_fleet_does_not_change_result(show in shows(), order in Just(ROBOTS.to_vec()).prop_shuffle()) {
         same(&show, &fleet_of(&order))?;
     }
 
     /// The additional robot does not take part in the mission, so it cannot fail.
     #[test]
-    fn a_robot_that_does_nothing_changes_nothing(show in shows(), at in 0usize..4) {
+    fn idle_robot_changes_nothing(show in shows(), at in 0usize..4) {
         let mut robots = ROBOTS.to_vec();
         robots.insert(at, "idle");
         same(&show, &fleet_of(&robots))?;
     }
 
     #[test]
-    fn robots_of_a_cue_in_another_order_do_the_same(show in shows()) {
+    fn order_of_robots_in_cue_does_not_change_result(show in shows()) {
         let mut turned = show.clone();
         turned.acts.iter_mut().flat_map(|act| &mut act.cues).for_each(|cue| cue.robots.reverse());
         let (before, after) = (of(&show, &three()), of(&turned, &three()));
@@ -40,7 +40,7 @@ proptest! {
 
     /// Each cue has a fixed start.
     #[test]
-    fn cues_in_another_order_of_the_file_do_the_same(show in shows()) {
+    fn order_of_cues_in_file_does_not_change_result(show in shows()) {
         let mut turned = show.clone();
         turned.acts.iter_mut().for_each(|act| act.cues.reverse());
         let line = |line: usize| {

@@ -54,7 +54,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(80) })]
 
     #[test]
-    fn cues_that_begin_later_do_the_same_later(show in shows(), later in 1i64..9_000) {
+    fn delaying_all_cues_only_shifts_their_steps(show in shows(), later in 1i64..9_000) {
         let mut shifted = show.clone();
         shifted.acts.iter_mut().flat_map(|act| &mut act.cues).for_each(|cue| cue.at += later);
         let (before, after) = (of(&show, &three()), of(&shifted, &three()));
@@ -67,7 +67,7 @@ proptest! {
     }
 
     #[test]
-    fn a_show_at_twice_its_speed_is_the_one_with_half_its_times(show in shows()) {
+    fn show_at_double_speed_equals_show_with_halved_times(show in shows()) {
         let written = of(&show, &three());
         prop_assume!(written.choreography.is_some());
         let (played, fast) = (written.choreography.unwrap().at_speed(2.0, &three()), of(&faster(&show, 2), &three()));
@@ -79,14 +79,14 @@ proptest! {
     }
 
     #[test]
-    fn a_show_at_its_own_speed_is_itself(show in shows()) {
+    fn show_at_normal_speed_is_unchanged(show in shows()) {
         let Some(written) = of(&show, &three()).choreography else { return Ok(()) };
         prop_assert_eq!(written.clone().at_speed(1.0, &three()), Ok(written), "{}", show.yaml());
     }
 
     /// Checks between cues and checks between acts are equivalent for a linear device.
     #[test]
-    fn an_act_is_the_same_as_its_two_parts(show in shows(), act in 0usize..6, cue in 1usize..5) {
+    fn act_split_in_two_has_same_findings(show in shows(), act in 0usize..6, cue in 1usize..5) {
         let act = act % show.acts.len();
         let mut show = show;
         show.acts[act].cues.retain(|cue| cue.kind().moves);

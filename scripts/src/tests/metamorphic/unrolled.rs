@@ -23,7 +23,7 @@ proptest! {
 
     /// The looped show leads from its last act back to the first one. It ends if the operator does not give the go.
     #[test]
-    fn a_loop_has_the_findings_of_its_rounds(show in shows()) {
+    fn loop_has_findings_of_its_unrolled_rounds(show in shows()) {
         let once = rounds(&show, 1);
         let mut looped = once.clone();
         let last = looped.acts.len() - 1;
@@ -50,7 +50,7 @@ proptest! {
     }
 
     #[test]
-    fn an_act_after_others_jumps_as_from_where_they_leave_the_fleet(show in shows()) {
+    fn jumps_in_act_start_from_positions_left_by_previous_acts(show in shows()) {
         let both = rounds(&show, 1);
         prop_assume!(both.acts.len() > 1);
         let Some(choreography) = of(&both, &three()).choreography else { return Ok(()) };

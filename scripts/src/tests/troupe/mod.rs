@@ -174,7 +174,7 @@ impl Tally {
 }
 
 #[test]
-fn whole_groups_are_where_a_second_reading_finds_them() {
+fn group_movements_match_independent_implementation() {
     let config = ProptestConfig {
         max_shrink_iters: 2_000,
         failure_persistence: None,

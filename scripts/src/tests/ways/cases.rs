@@ -25,7 +25,7 @@ const FAILURE: &str = "acts:
 ";
 
 #[test]
-fn the_act_after_a_failure_begins_where_the_robots_that_continue_are_left() {
+fn act_after_failure_starts_where_continuing_robots_are_left() {
     let fleet = fleet_of(&ROBOTS);
     let with = |rules: &str| found(&FAILURE.replace("RULES", rules), &fleet);
     assert_eq!(with("default: without"), [(Code::TooFast, 7)]);
@@ -38,7 +38,7 @@ fn the_act_after_a_failure_begins_where_the_robots_that_continue_are_left() {
 }
 
 #[test]
-fn a_device_that_stops_at_the_end_is_not_in_motion_whatever_its_default_position() {
+fn stopped_device_is_not_in_motion_whatever_its_default_position() {
     let text = "stop_condition: {running: none}
 cues: [{at: 0s, robots: a, tracks: {joint: {control: speed, keyframes: [{at: 0s, to: 5}, {at: 1s, to: SPEED}]}}}]
 ";
@@ -49,7 +49,7 @@ cues: [{at: 0s, robots: a, tracks: {joint: {control: speed, keyframes: [{at: 0s,
 }
 
 #[test]
-fn a_jump_between_cues_is_found_after_a_cue_that_drives_by_speed() {
+fn jump_between_later_cues_is_reported_after_speed_controlled_cue() {
     let text = "cues:
   - {at: 0s, robots: a, tracks: {joint: {control: speed, keyframes: [{at: 0s, to: 5}, {at: 1s, to: 0}]}}}
   - {at: 2s, robots: a, tracks: {joint: [{at: 0s, to: 10}, {at: 1s, to: 20}]}}
@@ -59,7 +59,7 @@ fn a_jump_between_cues_is_found_after_a_cue_that_drives_by_speed() {
 }
 
 #[test]
-fn robots_that_are_left_out_use_no_devices() {
+fn excluded_robots_use_no_devices() {
     let text = "cues: [{at: 0s, robots: [a, b], tracks: {slide: [{at: 0s, to: 8}, {at: 1s, to: 12}]}}]\n";
     let only = choreography(text, &fleet_of(&ROBOTS)).only(&["a".parse().unwrap()]).unwrap();
     let devices = &only.acts[0].devices;
@@ -67,7 +67,7 @@ fn robots_that_are_left_out_use_no_devices() {
 }
 
 #[test]
-fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
+fn changed_speed_rechecks_accelerations_and_entries_into_acts() {
     let limits = RateLimits { speed: None, acceleration: Some(40.0) };
     let mut fleet = fleet_of(&ROBOTS);
     fleet.robots[0].limits.insert("slide".to_owned(), limits);

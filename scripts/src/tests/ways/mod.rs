@@ -252,7 +252,7 @@ fn compare(show: &Show, tally: &mut Tally) -> Result<(), TestCaseError> {
 }
 
 #[test]
-fn findings_on_every_way_are_what_a_second_reading_finds() {
+fn findings_on_every_path_match_independent_implementation() {
     let config = ProptestConfig {
         max_shrink_iters: 20_000,
         failure_persistence: None,

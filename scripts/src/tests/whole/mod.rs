@@ -325,7 +325,7 @@ fn without_sequences(mut compiled: Compiled) -> Compiled {
 }
 
 #[test]
-fn whole_scenarios_are_what_a_second_reading_finds() {
+fn whole_scenarios_match_independent_implementation() {
     let config = ProptestConfig {
         max_shrink_iters: 20_000,
         failure_persistence: None,

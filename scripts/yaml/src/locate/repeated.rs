@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_misspelt_again_and_again_is_one_finding_with_all_lines() {
+    fn repeated_misspelling_is_one_finding_with_all_lines() {
         let typo = |line| found(Code::UnknownMove, line, "no move `wvae`", "did you mean `wave`?");
         assert_eq!(messages(vec![typo(3)]), ["no move `wvae`"]);
         assert_eq!(messages(vec![typo(3), typo(7)]), ["no move `wvae`; the same mistake on line 7"]);
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn the_places_of_joined_findings_are_related_to_the_first_one() {
+    fn joined_findings_list_other_positions_as_related() {
         let mut first = found(Code::UnknownMove, 3, "no move `wvae`", "did you mean `wave`?");
         let mut second = found(Code::UnknownMove, 7, "no move `wvae`", "did you mean `wave`?");
         (first.0.column, second.0.column, second.0.width) = (4, 9, 4);
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_written_in_one_wrong_way_are_one_mistake_and_names_are_not() {
+    fn numbers_with_same_mistake_are_joined_but_names_are_not() {
         let time = |line, value| {
             found(Code::BadDuration, line, &format!("the time {value} has no unit"), &format!("`{value}s`"))
         };

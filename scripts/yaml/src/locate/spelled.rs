@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_a_text_is_found_where_it_is_written() {
+    fn part_of_text_is_located_where_it_is_written() {
         check("$a + b, to: 3", "$a + b", "b", Some("b"));
         check("\"$a + b\"}", "$a + b", "+", Some("+"));
         check("'it''s + b'", "it's + b", "b", Some("b"));
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_elsewhere_is_not_found() {
+    fn text_written_elsewhere_is_not_located() {
         check("*x, to: 3", "$a + b", "b", None);
         check("\"$a\"", "$a + b", "b", None);
     }

@@ -42,7 +42,7 @@ fn ended_early(stage: &Stage, told: &Value) -> String {
 }
 
 #[test]
-fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command() {
+fn background_mission_outlives_its_terminal_and_is_stopped_by_command() {
     let mut stage = Stage::new();
     stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel()).file("play.yaml", scenario());
     for robot in 0..6 {
@@ -65,7 +65,7 @@ fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command()
 }
 
 #[test]
-fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
+fn failure_to_start_a_background_mission_is_reported_immediately() {
     let mut stage = Stage::new();
     stage.file("arm.yaml", one_device(1, 600, 600)).file(
         "play.yaml",
@@ -79,7 +79,7 @@ fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
 }
 
 #[test]
-fn a_program_that_was_told_to_ignore_the_end_of_its_terminal_goes_on() {
+fn program_started_with_nohup_survives_the_end_of_its_terminal() {
     let mut show = Show::begin_by(Trouble::Nothing, &["nohup"]);
     kill_process(show.pid, Signal::HUP).unwrap();
     plays_on(&show.stage.robots[0]);

@@ -9,12 +9,12 @@ use super::cell::{check_row, stop};
 use super::show::{Show, Trouble};
 
 #[test]
-fn a_quit_from_the_keyboard_stops_every_robot_also_with_a_stalled_terminal_or_disk() {
+fn sigquit_stops_every_robot_even_with_a_stalled_terminal_or_disk() {
     check_row(Way::Quit, &[Trouble::Nothing, Trouble::Terminal, Trouble::DiskStalled]);
 }
 
 #[test]
-fn signals_that_ask_for_nothing_do_not_end_a_mission() {
+fn non_terminating_signals_do_not_end_a_mission() {
     let mut show = Show::begin(Trouble::Nothing);
     for signal in [Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE] {
         kill_process(show.pid, signal).unwrap();

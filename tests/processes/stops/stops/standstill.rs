@@ -13,7 +13,7 @@ use stage::quiet::{await_that, stays};
 use stage::{Process, Robot, Stage, Via, epoch_nanos, one_device};
 
 #[test]
-fn a_disk_that_stands_still_before_the_mission_has_begun_does_not_keep_the_operator_from_ending_it() {
+fn disk_stall_before_start_does_not_prevent_operator_from_ending_mission() {
     let mut stage = Stage::new();
     stage.file("arm.yaml", one_device(1, 600, 600)).file("disk-stalled", "");
     for _ in 0..6 {
@@ -35,7 +35,7 @@ fn a_disk_that_stands_still_before_the_mission_has_begun_does_not_keep_the_opera
 }
 
 #[test]
-fn a_report_is_printed_while_the_disk_stands_still() {
+fn report_is_printed_during_a_disk_stall() {
     let mut show = Show::begin(Trouble::DiskStalled);
     show.strike();
     let stopped = stop(&mut show, Way::Terminate);
@@ -50,7 +50,7 @@ fn connections(show: &Show) -> Vec<usize> {
 }
 
 #[test]
-fn what_a_killed_scheduler_has_moved_is_stopped_while_the_one_that_takes_over_stands_still() {
+fn robots_of_killed_scheduler_are_stopped_while_its_successor_stalls() {
     let mut show = Show::begin(Trouble::Nothing);
     show.kill();
     await_that("the end of its connections", || connections(&show) == [0; 6]);

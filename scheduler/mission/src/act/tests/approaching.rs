@@ -12,7 +12,7 @@ fn ends(question: &Question, id: &urrcp::RequestId) -> Option<Timestamp<Server>>
 }
 
 #[test]
-fn every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start() {
+fn leases_of_requests_before_critical_instant_end_before_the_start() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400), ("b", 30, 400)], &[("a", 100, 400)]];
     let mut bench = Bench::new(&[Tells::Everything; 2], &scripts);
     bench.commit(Leases::Shortened);
@@ -30,7 +30,7 @@ fn every_question_before_the_critical_instant_carries_a_lease_that_ends_before_t
 }
 
 #[test]
-fn nothing_is_asked_between_the_critical_instant_and_the_commitment() {
+fn no_request_is_sent_between_critical_instant_and_commitment() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::pair();
         bench.decide(leases);
@@ -53,7 +53,7 @@ fn nothing_is_asked_between_the_critical_instant_and_the_commitment() {
 }
 
 #[test]
-fn robots_of_an_act_are_hushed_only_from_the_critical_instant_to_the_commitment() {
+fn messages_are_held_only_from_critical_instant_to_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     let critical = bench.timing().critical();
@@ -65,7 +65,7 @@ fn robots_of_an_act_are_hushed_only_from_the_critical_instant_to_the_commitment(
 }
 
 #[test]
-fn what_cannot_wait_is_let_through_to_a_member_as_long_as_a_lease_can_still_end_before_the_start() {
+fn urgent_message_is_sent_to_member_while_lease_can_end_before_start() {
     for (leases, lets_through) in [(Leases::Shortened, true), (Leases::Fixed, false)] {
         let mut bench = Bench::pair();
         bench.decide(leases);
@@ -77,7 +77,7 @@ fn what_cannot_wait_is_let_through_to_a_member_as_long_as_a_lease_can_still_end_
 }
 
 #[test]
-fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
+fn commitment_requires_an_answer_of_every_robot_in_last_two_rounds() {
     // The robot is silent long enough before the critical instant to miss both of the last rounds.
     for (periods, committed) in [(0, true), (1, true), (4, false)] {
         let mut bench = Bench::pair();
@@ -92,7 +92,7 @@ fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
 }
 
 #[test]
-fn a_robot_that_lost_its_script_keeps_the_act_from_its_commitment() {
+fn robot_that_lost_its_script_prevents_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(20));
@@ -102,7 +102,7 @@ fn a_robot_that_lost_its_script_keeps_the_act_from_its_commitment() {
 }
 
 #[test]
-fn the_commitment_is_on_the_disk_before_any_robot_is_told() {
+fn commitment_is_on_disk_before_it_is_sent_to_any_robot() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     bench.disk = Some(ms(20));
@@ -115,7 +115,7 @@ fn the_commitment_is_on_the_disk_before_any_robot_is_told() {
 }
 
 #[test]
-fn a_slow_disk_withdraws_the_act_while_nothing_has_moved() {
+fn slow_disk_withdraws_the_act_before_any_movement() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::pair();
         bench.decide(leases);
@@ -130,7 +130,7 @@ fn a_slow_disk_withdraws_the_act_while_nothing_has_moved() {
 }
 
 #[test]
-fn a_process_that_stood_still_over_the_commitment_blames_no_robot_whose_word_it_has_not_read() {
+fn process_stalled_past_commitment_fails_no_robot_with_unread_responses() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Without);
         bench.decide(leases);
@@ -143,7 +143,7 @@ fn a_process_that_stood_still_over_the_commitment_blames_no_robot_whose_word_it_
 }
 
 #[test]
-fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() {
+fn process_stalled_past_commitment_does_not_record_one_later() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         for late in [Span::from_nanos(1), ms(1_000)] {
             let mut bench = Bench::pair();
@@ -178,7 +178,7 @@ fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
 }
 
 #[test]
-fn a_process_that_stood_still_over_the_last_rounds_asks_once_more_before_it_commits() {
+fn process_stalled_over_last_rounds_asks_again_before_commitment() {
     for after in [Span::ZERO, ms(1), ms(5)] {
         let bench = held_up(Leases::Shortened, after, &[]);
         assert_eq!((bench.act.progress(), &bench.withdrawn), (Progressed::Committed, &None), "{after}");
@@ -198,8 +198,7 @@ fn a_process_that_stood_still_over_the_last_rounds_asks_once_more_before_it_comm
 }
 
 #[test]
-fn a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_keeps_the_act_from_starting()
-{
+fn robot_silent_during_a_stall_over_the_last_rounds_prevents_the_start() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         for after in [ms(1), ms(15)] {
             let bench = held_up(leases, after, &[1]);
@@ -217,7 +216,7 @@ fn a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_
 }
 
 #[test]
-fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() {
+fn clock_set_after_decision_is_a_failure_before_commitment() {
     let mut bench = Bench::of_three(Policy::Abort);
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(1));
@@ -228,7 +227,7 @@ fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() 
 }
 
 #[test]
-fn a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it() {
+fn silent_robot_fails_early_enough_to_commit_the_others() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Without);
         bench.decide(leases);
@@ -250,7 +249,7 @@ fn a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it() {
 }
 
 #[test]
-fn a_robot_that_is_left_out_before_the_commitment_does_not_hold_up_the_others() {
+fn robot_left_out_before_commitment_does_not_delay_the_others() {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(Leases::Shortened);
     bench.act.drop_robot(1);
@@ -259,7 +258,7 @@ fn a_robot_that_is_left_out_before_the_commitment_does_not_hold_up_the_others() 
 }
 
 #[test]
-fn an_act_without_robots_is_over_without_a_commitment() {
+fn act_without_robots_is_over_without_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     bench.act.drop_robot(0);
@@ -270,7 +269,7 @@ fn an_act_without_robots_is_over_without_a_commitment() {
 }
 
 #[test]
-fn a_robot_that_takes_no_inquiries_is_held_to_its_answers_to_other_questions() {
+fn robot_without_inquiry_support_is_judged_by_its_other_responses() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     for silent in [false, true] {
         let mut bench = Bench::new(&[Tells::Everything, Tells::Reports], &scripts);
@@ -284,8 +283,7 @@ fn a_robot_that_takes_no_inquiries_is_held_to_its_answers_to_other_questions() {
 }
 
 #[test]
-fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not_keep_the_act_from_starting()
-{
+fn following_script_sent_too_late_for_an_inquiry_does_not_prevent_start() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400), ("a", 400, 400)], &[("a", 0, 400)]];
     let mut bench = Bench::of(&[Tells::Everything; 2], 1, bench::played(&scripts));
     bench.decide(Leases::Shortened);
@@ -298,7 +296,7 @@ fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not
 }
 
 #[test]
-fn what_begins_far_behind_gets_no_shortened_lease_and_what_follows_another_is_not_asked_about() {
+fn much_later_script_keeps_its_lease_and_following_script_is_not_queried() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
@@ -318,7 +316,7 @@ fn what_begins_far_behind_gets_no_shortened_lease_and_what_follows_another_is_no
 }
 
 #[test]
-fn outside_the_approach_no_lease_is_shortened() {
+fn no_lease_is_shortened_outside_the_approach() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
@@ -335,7 +333,7 @@ fn with_doubt(on_doubt: OnDoubt, policy: Policy) -> Bench {
 }
 
 #[test]
-fn on_doubt_decides_what_the_others_do_about_one_that_does_not_answer_the_commitment() {
+fn on_doubt_determines_the_effect_of_an_unanswered_commitment() {
     for (on_doubt, failures) in [(OnDoubt::Start, 0), (OnDoubt::Withdraw, 1)] {
         for leases in [Leases::Shortened, Leases::Fixed] {
             let mut bench = with_doubt(on_doubt, Policy::Abort);
@@ -354,7 +352,7 @@ fn on_doubt_decides_what_the_others_do_about_one_that_does_not_answer_the_commit
 }
 
 #[test]
-fn those_that_answered_the_commitment_start_without_the_doubtful_one() {
+fn robots_that_answered_the_commitment_start_without_the_doubtful_one() {
     let mut bench = with_doubt(OnDoubt::Withdraw, Policy::Without);
     bench.commit(Leases::Shortened);
     bench.silent = vec![0];
@@ -364,7 +362,7 @@ fn those_that_answered_the_commitment_start_without_the_doubtful_one() {
 }
 
 #[test]
-fn a_process_that_stood_still_until_no_withdrawal_helps_blames_no_robot_whose_answer_it_has_not_read() {
+fn process_stalled_past_last_withdrawal_fails_no_robot_for_unread_answers() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         for late in [Span::ZERO, ms(1_000)] {
             let mut bench = with_doubt(OnDoubt::Withdraw, Policy::Without);
@@ -377,7 +375,7 @@ fn a_process_that_stood_still_until_no_withdrawal_helps_blames_no_robot_whose_an
 }
 
 #[test]
-fn the_window_of_the_commitment_is_told_once_when_all_have_answered() {
+fn commitment_window_is_reported_once_when_all_have_answered() {
     let mut bench = Bench::pair();
     bench.commit(Leases::Shortened);
     bench.run_to_the_end();
@@ -398,7 +396,7 @@ impl Bench {
 }
 
 #[test]
-fn after_the_commitment_rounds_continue_until_the_robots_have_started() {
+fn rounds_continue_after_commitment_until_robots_have_started() {
     let mut bench = Bench::pair();
     bench.commit(Leases::Shortened);
     let (committed, begun) = (bench.now, bench.timing().begun());
@@ -411,7 +409,7 @@ fn after_the_commitment_rounds_continue_until_the_robots_have_started() {
 }
 
 #[test]
-fn no_window_is_told_if_a_robot_has_not_answered_the_commitment_before_the_start() {
+fn no_commitment_window_is_reported_without_all_answers_before_start() {
     let mut bench = with_doubt(OnDoubt::Start, Policy::Without);
     bench.commit(Leases::Shortened);
     bench.silent = vec![0];
@@ -424,7 +422,7 @@ fn no_window_is_told_if_a_robot_has_not_answered_the_commitment_before_the_start
 }
 
 #[test]
-fn the_lease_of_a_robot_whose_clock_is_ahead_ends_when_those_of_the_others_do() {
+fn leases_end_together_even_if_the_clock_of_a_robot_is_ahead() {
     let mut bench = Bench::pair();
     bench.promise(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(20));
@@ -438,7 +436,7 @@ fn the_lease_of_a_robot_whose_clock_is_ahead_ends_when_those_of_the_others_do() 
 }
 
 #[test]
-fn a_clock_that_was_set_shows_as_soon_as_the_robot_has_answered() {
+fn clock_change_is_detected_at_next_response_of_robot() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Abort);
         bench.decide(leases);
@@ -452,7 +450,7 @@ fn a_clock_that_was_set_shows_as_soon_as_the_robot_has_answered() {
 }
 
 #[test]
-fn a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases() {
+fn clock_change_within_tolerance_shifts_end_of_all_leases() {
     for (ahead, leases) in [6, -6].into_iter().flat_map(|by| [(by, Leases::Shortened), (by, Leases::Fixed)]) {
         let mut bench = Bench::of_three(Policy::Abort);
         bench.decide(leases);
@@ -480,7 +478,7 @@ fn a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases() {
 }
 
 #[test]
-fn what_is_withdrawn_ends_before_it_begins_and_no_earlier_than_it_has_to() {
+fn withdrawn_script_ends_before_its_start_and_no_earlier_than_needed() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
@@ -500,7 +498,7 @@ fn what_is_withdrawn_ends_before_it_begins_and_no_earlier_than_it_has_to() {
 }
 
 #[test]
-fn a_limit_ends_before_the_start_by_the_same_clock_however_far_that_was_set() {
+fn pending_limit_precedes_start_by_same_clock_at_any_clock_change() {
     for ahead in [-500, 0, 5, 100, 500].map(ms) {
         let mut bench =
             Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100)]]);
@@ -521,7 +519,7 @@ fn a_limit_ends_before_the_start_by_the_same_clock_however_far_that_was_set() {
 }
 
 #[test]
-fn a_script_that_is_sent_once_its_act_is_committed_may_start() {
+fn script_sent_after_commitment_may_start() {
     let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100)]]);
     bench.decide(Leases::Shortened);
     let script = ScriptRef { act: bench.act.number(), member: 0, script: 1 };
@@ -532,7 +530,7 @@ fn a_script_that_is_sent_once_its_act_is_committed_may_start() {
 }
 
 #[test]
-fn a_clock_that_lets_a_robot_start_before_its_lease_can_end_fails_it_though_it_plays_alone() {
+fn lone_robot_fails_if_its_clock_would_start_it_before_its_lease_ends() {
     for (ahead, fails) in [(500, true), (0, false)] {
         let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100)]]);
         bench.decide(Leases::Shortened);
@@ -547,7 +545,7 @@ fn a_clock_that_lets_a_robot_start_before_its_lease_can_end_fails_it_though_it_p
 }
 
 #[test]
-fn a_clock_that_was_set_back_by_more_than_a_lease_does_not_put_off_the_commitment_for_ever() {
+fn clock_set_back_beyond_a_lease_does_not_postpone_commitment_forever() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::new(&[Tells::Reports], &[&[("a", 0, 100)]]);
         bench.decide(leases);
@@ -562,7 +560,7 @@ fn a_clock_that_was_set_back_by_more_than_a_lease_does_not_put_off_the_commitmen
 }
 
 #[test]
-fn a_robot_that_no_question_reached_for_longer_than_its_lease_has_lost_its_script() {
+fn robot_not_reached_for_longer_than_its_lease_has_lost_its_script() {
     let mut bench = Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 0, 400)]]);
     bench.decide(Leases::Fixed);
     let now = bench.now;

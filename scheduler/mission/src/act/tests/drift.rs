@@ -43,7 +43,7 @@ fn apart(bench: &Bench) -> f64 {
 }
 
 #[test]
-fn a_robot_whose_clock_was_set_meanwhile_is_not_judged() {
+fn robot_whose_clock_was_set_during_the_act_is_not_checked_for_drift() {
     let mut bench = played();
     let now = bench.now;
     bench.robots[0].clock = drifted(now, 0);
@@ -57,7 +57,7 @@ fn a_robot_whose_clock_was_set_meanwhile_is_not_judged() {
 }
 
 #[test]
-fn in_an_act_that_was_resumed_robots_are_compared_only_with_each_other() {
+fn robots_of_a_resumed_act_are_compared_only_with_each_other() {
     for (mut bench, ahead, expected) in
         [(played(), [30, 30], 30.0), (resumed(), [30, 30], 0.0), (resumed(), [0, 30], 30.0)]
     {

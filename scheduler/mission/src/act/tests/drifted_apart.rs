@@ -35,20 +35,20 @@ fn check(clock: ClockMode, robots: [(i64, i64, f64); 2], apart: i64) {
 }
 
 #[test]
-fn robots_that_follow_ntp_are_not_blamed_for_the_drift_of_this_machine() {
+fn drift_of_this_machine_is_not_attributed_to_ntp_robots() {
     check(ClockMode::Ntp, [(400, 0, 50.0), (600_000, 0, 50.0)], 0);
     check(ClockMode::Ntp, [(600_000, 0, -50.0), (400, 0, -50.0)], 0);
 }
 
 #[test]
-fn robots_that_were_apart_whatever_the_drift_of_this_machine_are_found() {
+fn robots_that_were_apart_at_any_drift_of_this_machine_are_detected() {
     check(ClockMode::Ntp, [(600_000, 0, 0.0), (600_000, 30, 0.0)], 30);
     check(ClockMode::Ntp, [(600_000, 0, 0.0), (400_000, 50, 0.0)], 30);
     check(ClockMode::Ntp, [(400_000, 50, 0.0), (600_000, 0, 0.0)], 30);
 }
 
 #[test]
-fn robots_whose_plan_follows_the_clock_of_this_machine_are_judged_by_it() {
+fn robots_planned_by_the_clock_of_this_machine_are_judged_by_it() {
     check(ClockMode::Measured, [(400, 0, 50.0), (600_000, 0, 50.0)], 30);
     check(ClockMode::Measured, [(400_000, 15, 0.0), (600_000, 0, -25.0)], 30);
 }

@@ -18,7 +18,7 @@ fn three() -> Bench {
 }
 
 #[test]
-fn a_robot_that_is_left_out_in_any_stage_gets_nothing_any_more_and_the_others_play() {
+fn robot_left_out_at_any_stage_receives_nothing_and_the_others_play() {
     let mut probe = three();
     probe.promise(Leases::Shortened);
     let timing = probe.timing().clone();
@@ -51,7 +51,7 @@ fn a_robot_that_is_left_out_in_any_stage_gets_nothing_any_more_and_the_others_pl
 }
 
 #[test]
-fn what_a_robot_that_was_left_out_never_received_is_not_sent_again() {
+fn script_never_received_by_a_left_out_robot_is_not_resent() {
     let mut bench = Bench { silent: vec![1], policy: Policy::Without, ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
@@ -61,7 +61,7 @@ fn what_a_robot_that_was_left_out_never_received_is_not_sent_again() {
 }
 
 #[test]
-fn an_act_that_was_not_sent_takes_those_that_have_come_and_one_that_was_does_not() {
+fn robots_can_join_an_act_only_before_it_is_sent() {
     let mut bench = Bench::pair();
     bench.robots[1].standing = crate::robot_state::Standing::Absent;
     bench.act.gather(&bench.robots);
@@ -76,7 +76,7 @@ fn an_act_that_was_not_sent_takes_those_that_have_come_and_one_that_was_does_not
 }
 
 #[test]
-fn an_act_that_waits_for_room_is_over_when_its_robots_are_left_out() {
+fn act_that_waits_for_room_is_over_when_its_robots_are_left_out() {
     let mut bench = Bench::pair();
     bench.pump();
     bench.act.look_again_at(Some(at(900)));

@@ -18,7 +18,7 @@ fn sent_at(bench: &Bench) -> Vec<Span> {
 }
 
 #[test]
-fn an_act_is_over_when_every_script_has_completed() {
+fn act_is_over_when_every_script_has_completed() {
     let mut bench = Bench::pair();
     bench.play(Leases::Shortened);
     bench.run_until(bench.timing().end - ms(1));
@@ -29,7 +29,7 @@ fn an_act_is_over_when_every_script_has_completed() {
 }
 
 #[test]
-fn an_act_whose_last_value_stays_is_over_when_its_movement_ends() {
+fn act_that_holds_its_last_value_is_over_when_its_movement_ends() {
     for tells in [Tells::Everything, Tells::Answers, Tells::Nothing] {
         let mut choreography = bench::choreography(&[&[("a", 0, 400)], &[("a", 0, 500)]]);
         choreography.acts[0].plan.robots[0].scripts[0].rest = ms(2_000);
@@ -45,7 +45,7 @@ fn an_act_whose_last_value_stays_is_over_when_its_movement_ends() {
 }
 
 #[test]
-fn the_movement_of_a_robot_that_is_left_out_keeps_no_act_from_its_end() {
+fn movement_of_a_left_out_robot_does_not_delay_end_of_act() {
     let mut choreography = bench::choreography(&[&[("a", 0, 400)], &[("a", 0, 500)]]);
     choreography.acts[0].plan.robots[0].scripts[0].rest = ms(2_000);
     let bench = Bench::of(&[Tells::Everything; 2], 2, Arc::new(choreography));
@@ -57,7 +57,7 @@ fn the_movement_of_a_robot_that_is_left_out_keeps_no_act_from_its_end() {
 }
 
 #[test]
-fn what_fails_after_its_start_without_a_word_of_its_steps_may_have_begun() {
+fn script_that_fails_after_start_without_step_count_may_have_begun() {
     for (steps_done, state) in [(None, ScriptState::Unknown), (Some(0), failed())] {
         let mut bench = Bench { mum: vec![1], ..Bench::pair() };
         bench.play(Leases::Shortened);
@@ -75,7 +75,7 @@ fn failed() -> ScriptState {
 }
 
 #[test]
-fn what_ends_makes_room_for_the_next_script() {
+fn ended_script_makes_room_for_the_next_one() {
     let mut bench = chain(Tells::Everything, 2);
     bench.play(Leases::Shortened);
     bench.run_to_the_end();
@@ -86,7 +86,7 @@ fn what_ends_makes_room_for_the_next_script() {
 }
 
 #[test]
-fn a_robot_that_only_answers_is_asked_when_a_script_should_have_ended() {
+fn robot_without_reports_is_asked_when_a_script_should_have_ended() {
     let mut bench = chain(Tells::Answers, 2);
     bench.play(Leases::Shortened);
     bench.run_to_the_end();
@@ -97,7 +97,7 @@ fn a_robot_that_only_answers_is_asked_when_a_script_should_have_ended() {
 }
 
 #[test]
-fn a_robot_that_only_answers_is_asked_at_the_end_of_what_it_was_sent_whenever_the_act_began_to_play() {
+fn robot_without_reports_is_asked_at_script_end_whenever_act_began() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 30), ("a", 200, 10), ("a", 300, 10)], &[("a", 0, 2_000)]];
     // The last robot may start while the first one, which is on time, still owes the report that its first script has ended.
     for late in (30_000..70_000).step_by(100).map(Span::from_micros) {
@@ -111,7 +111,7 @@ fn a_robot_that_only_answers_is_asked_at_the_end_of_what_it_was_sent_whenever_th
 }
 
 #[test]
-fn scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown() {
+fn scripts_of_a_robot_that_reports_nothing_expire_as_unknown() {
     let mut bench = chain(Tells::Nothing, 2);
     bench.play(Leases::Fixed);
     bench.run_to_the_end();
@@ -123,7 +123,7 @@ fn scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown() {
 }
 
 #[test]
-fn a_script_that_begins_late_on_another_device_does_not_hold_up_refills_and_readings() {
+fn later_script_on_another_device_does_not_delay_refills_and_readings() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 40), ("a", 40, 40), ("a", 80, 80)], &[("a", 200, 100)]];
     let mut choreography = bench::choreography(&scripts);
     let reading = PlannedReading { robot: "r1".parse().unwrap(), sensor: "b".parse().unwrap(), at: ms(50) };
@@ -148,7 +148,7 @@ fn beside_a_late_one(tells: Tells) -> Bench {
 }
 
 #[test]
-fn what_a_robot_has_played_by_its_own_clock_makes_room_before_the_last_one_has_started() {
+fn script_played_by_its_robots_clock_makes_room_before_last_robot_starts() {
     for tells in [Tells::Nothing, Tells::Answers] {
         let mut bench = beside_a_late_one(tells);
         bench.run_until(bench.start() + ms(95));
@@ -161,7 +161,7 @@ fn what_a_robot_has_played_by_its_own_clock_makes_room_before_the_last_one_has_s
 }
 
 #[test]
-fn a_lease_that_was_shortened_for_a_device_that_begins_later_is_what_has_to_be_renewed() {
+fn shortened_lease_of_a_device_that_begins_later_must_be_renewed() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)], &[("a", 150, 400)]];
     let mut bench = Bench::new(&[Tells::Everything; 2], &scripts);
     bench.play(Leases::Shortened);
@@ -174,7 +174,7 @@ fn a_lease_that_was_shortened_for_a_device_that_begins_later_is_what_has_to_be_r
 }
 
 #[test]
-fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
+fn overdue_report_is_requested_before_its_robot_fails() {
     let mut bench = Bench { mum: vec![1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Held);
@@ -201,7 +201,7 @@ fn one_after_another(robots: usize) -> Bench {
 }
 
 #[test]
-fn robots_whose_reports_and_answers_are_under_way_for_long_are_not_asked_ever_more() {
+fn robots_with_delayed_reports_and_answers_are_not_asked_repeatedly() {
     let mut bench = one_after_another(100);
     bench.play(Leases::Shortened);
     bench.silent = bench.mum.clone();
@@ -216,7 +216,7 @@ fn robots_whose_reports_and_answers_are_under_way_for_long_are_not_asked_ever_mo
 }
 
 #[test]
-fn a_question_for_an_overdue_report_that_is_lost_is_asked_again() {
+fn lost_request_for_an_overdue_report_is_repeated() {
     let mut bench = one_after_another(2);
     bench.play(Leases::Shortened);
     let grace = bench.act.report_grace(&bench.robots);
@@ -229,7 +229,7 @@ fn a_question_for_an_overdue_report_that_is_lost_is_asked_again() {
 }
 
 #[test]
-fn a_report_that_was_lost_is_made_good_by_the_answer() {
+fn answer_replaces_a_lost_report() {
     let mut bench = Bench { mum: vec![1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.run_to_the_end();
@@ -238,7 +238,7 @@ fn a_report_that_was_lost_is_made_good_by_the_answer() {
 }
 
 #[test]
-fn a_robot_that_only_answers_and_never_ends_has_failed() {
+fn robot_without_reports_fails_if_its_script_never_ends() {
     let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Running);
@@ -247,7 +247,7 @@ fn a_robot_that_only_answers_and_never_ends_has_failed() {
 }
 
 #[test]
-fn a_robot_that_is_back_after_a_long_break_is_asked_before_it_has_failed() {
+fn robot_back_after_a_long_break_is_asked_before_it_fails() {
     let mut bench = Bench { policy: Policy::Without, ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.break_link(1);
@@ -267,7 +267,7 @@ fn a_robot_that_is_back_after_a_long_break_is_asked_before_it_has_failed() {
 }
 
 #[test]
-fn an_act_is_due_at_once_when_the_robot_that_it_waited_for_is_left_out() {
+fn act_is_due_at_once_when_the_awaited_robot_is_left_out() {
     let mut bench = Bench { mum: vec![1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.run_until(bench.timing().end + ms(10));
@@ -279,7 +279,7 @@ fn an_act_is_due_at_once_when_the_robot_that_it_waited_for_is_left_out() {
 }
 
 #[test]
-fn a_start_error_is_actual_minus_planned_by_the_robots_own_clock() {
+fn start_error_is_actual_minus_planned_by_the_robots_own_clock() {
     let mut bench = Bench { mum: vec![0, 1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     let script = bench.scripts_of(1)[0];
@@ -291,7 +291,7 @@ fn a_start_error_is_actual_minus_planned_by_the_robots_own_clock() {
 }
 
 #[test]
-fn readings_of_the_scenario_are_taken_at_their_times() {
+fn scenario_readings_are_taken_at_their_times() {
     let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
     let reading = |at| PlannedReading { robot: "r0".parse().unwrap(), sensor: "b".parse().unwrap(), at };
     choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(250))];
@@ -303,7 +303,7 @@ fn readings_of_the_scenario_are_taken_at_their_times() {
 }
 
 #[test]
-fn the_script_that_begins_next_begins_later_than_now() {
+fn next_script_begins_later_than_now() {
     let mut bench = chain(Tells::Everything, 2);
     bench.play(Leases::Shortened);
     let start = bench.start();
@@ -312,7 +312,7 @@ fn the_script_that_begins_next_begins_later_than_now() {
 }
 
 #[test]
-fn what_a_robot_that_tells_nothing_has_lapses_once_it_has_ended_by_a_clock_that_is_behind() {
+fn unreported_script_expires_at_its_end_by_a_clock_that_is_behind() {
     let mut bench = Bench::new(&[Tells::Nothing], &[&[("a", 0, 400)]]);
     bench.play(Leases::Fixed);
     bench.robots[0].shift = ms(40);
@@ -324,7 +324,7 @@ fn what_a_robot_that_tells_nothing_has_lapses_once_it_has_ended_by_a_clock_that_
 }
 
 #[test]
-fn a_robot_that_takes_back_a_step_is_not_believed() {
+fn robot_that_reports_fewer_steps_than_before_fails() {
     let mut bench = Bench { mum: vec![1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     let script = bench.scripts_of(1)[0];
@@ -341,7 +341,7 @@ fn a_robot_that_takes_back_a_step_is_not_believed() {
 }
 
 #[test]
-fn whether_a_start_can_be_is_judged_by_the_time_that_its_robot_was_sent() {
+fn reported_start_is_checked_against_the_time_sent_to_the_robot() {
     let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]) };
     let there = by_robot(at(0)) + ms(500);
     bench.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
@@ -356,7 +356,7 @@ fn whether_a_start_can_be_is_judged_by_the_time_that_its_robot_was_sent() {
 }
 
 #[test]
-fn a_script_that_begins_later_cannot_have_begun_with_the_act() {
+fn script_that_begins_later_cannot_have_started_with_the_act() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("b", 300, 400)]];
     let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
     bench.play(Leases::Shortened);
@@ -368,7 +368,7 @@ fn a_script_that_begins_later_cannot_have_begun_with_the_act() {
 }
 
 #[test]
-fn a_script_can_have_ended_once_its_end_has_come_by_the_clock_of_its_robot() {
+fn script_can_have_ended_once_its_end_is_past_by_the_clock_of_its_robot() {
     let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]);
     bench.pump();
     let timing = timing(&bench.act, bench.now, Leases::Shortened, ms(1));
@@ -380,7 +380,7 @@ fn a_script_can_have_ended_once_its_end_has_come_by_the_clock_of_its_robot() {
 }
 
 #[test]
-fn a_reading_of_the_scenario_is_kept_with_its_sensor_and_its_time() {
+fn scenario_reading_is_stored_with_its_sensor_and_its_time() {
     let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
     let reading = |at| PlannedReading { robot: "r0".parse().unwrap(), sensor: "b".parse().unwrap(), at };
     choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(250))];
@@ -392,7 +392,7 @@ fn a_reading_of_the_scenario_is_kept_with_its_sensor_and_its_time() {
 }
 
 #[test]
-fn an_act_is_unaccounted_while_a_robot_may_have_something_of_it_that_it_has_not_spoken_of() {
+fn act_is_unaccounted_while_a_robot_may_hold_unreported_scripts() {
     let mut bench = Bench::pair();
     assert!(!bench.act.is_unaccounted(), "nothing was sent");
     bench.decide(Leases::Shortened);
@@ -402,7 +402,7 @@ fn an_act_is_unaccounted_while_a_robot_may_have_something_of_it_that_it_has_not_
 }
 
 #[test]
-fn a_robot_that_only_answers_is_asked_again_soon_until_its_script_has_ended() {
+fn robot_without_reports_is_asked_repeatedly_until_its_script_has_ended() {
     let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Running);
@@ -428,7 +428,7 @@ fn sent_a_third_script() -> (Bench, ScriptRef) {
 }
 
 #[test]
-fn a_refusal_that_arrives_twice_counts_once() {
+fn duplicate_refusal_is_counted_once() {
     let (mut bench, third) = sent_a_third_script();
     let error = bench::refusal(ErrorCode::Busy);
     let refusal = ControlResponse { error, ..bench.response(third, Status::Failed) };
@@ -444,7 +444,7 @@ fn a_refusal_that_arrives_twice_counts_once() {
 }
 
 #[test]
-fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
+fn script_refused_as_busy_is_soon_resent_to_robot_that_reports_nothing() {
     let (mut bench, third) = sent_a_third_script();
     bench.refuse(third, ErrorCode::Busy);
     let refused = bench.now;
@@ -454,7 +454,7 @@ fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
 }
 
 #[test]
-fn a_robot_that_only_answers_is_asked_for_each_script_when_it_should_have_ended() {
+fn robot_without_reports_is_asked_about_each_script_at_its_planned_end() {
     let mut bench = Bench::new(&[Tells::Answers], &[&[("a", 0, 200), ("b", 0, 230)]]);
     bench.play(Leases::Shortened);
     bench.run_to_the_end();

@@ -4,7 +4,7 @@ use super::super::preparing::HELD_UP;
 use super::*;
 
 #[test]
-fn where_this_process_stood_still_nobody_is_blamed_for_acceptances_that_it_has_not_read() {
+fn stalled_process_fails_no_robot_for_unread_acceptances() {
     for (late, blamed) in [(ms(0), 1), (ms(1_000), 0)] {
         let mut bench = Bench { silent: vec![1], ..Bench::pair() };
         bench.promise(Leases::Fixed);
@@ -18,7 +18,7 @@ fn where_this_process_stood_still_nobody_is_blamed_for_acceptances_that_it_has_n
 }
 
 #[test]
-fn no_robot_is_blamed_for_the_time_that_the_disk_took() {
+fn no_robot_fails_because_of_disk_delay() {
     for (percent, blamed) in [(10, 1), (80, 0)] {
         let mut bench = Bench { disk: None, silent: vec![1], ..Bench::pair() };
         bench.promise(Leases::Fixed);
@@ -33,7 +33,7 @@ fn no_robot_is_blamed_for_the_time_that_the_disk_took() {
 }
 
 #[test]
-fn nothing_is_sent_before_the_promise_is_on_the_disk() {
+fn nothing_is_sent_before_the_promise_is_on_disk() {
     let mut bench = Bench { disk: None, ..Bench::pair() };
     bench.promise(Leases::Shortened);
     assert!(
@@ -47,7 +47,7 @@ fn nothing_is_sent_before_the_promise_is_on_the_disk() {
 }
 
 #[test]
-fn a_promise_that_is_not_on_the_disk_in_time_is_not_sent() {
+fn promise_not_on_disk_in_time_is_not_sent() {
     let mut bench = Bench { disk: None, ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_to_the_end();
@@ -57,7 +57,7 @@ fn a_promise_that_is_not_on_the_disk_in_time_is_not_sent() {
 }
 
 #[test]
-fn the_decision_needs_every_acceptance_and_comes_once() {
+fn decision_requires_every_acceptance_and_is_made_once() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(20));
@@ -72,7 +72,7 @@ fn the_decision_needs_every_acceptance_and_comes_once() {
 }
 
 #[test]
-fn what_is_not_answered_is_sent_again_once_and_then_its_robot_has_failed() {
+fn unanswered_request_is_resent_once_before_its_robot_fails() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_to_the_end();
@@ -84,7 +84,7 @@ fn what_is_not_answered_is_sent_again_once_and_then_its_robot_has_failed() {
 }
 
 #[test]
-fn a_robot_without_a_link_is_not_sent_anything_again_and_fails_for_its_link() {
+fn robot_without_a_link_is_not_resent_anything_and_fails_as_link_down() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
@@ -95,7 +95,7 @@ fn a_robot_without_a_link_is_not_sent_anything_again_and_fails_for_its_link() {
 }
 
 #[test]
-fn without_the_one_that_did_not_accept_the_others_are_decided() {
+fn others_are_decided_without_the_robot_that_did_not_accept() {
     let mut bench = Bench { silent: vec![1], ..Bench::of_three(Policy::Without) };
     bench.promise(Leases::Shortened);
     bench.run_to_the_end();
@@ -104,7 +104,7 @@ fn without_the_one_that_did_not_accept_the_others_are_decided() {
 }
 
 #[test]
-fn a_refusal_is_a_failure() {
+fn refusal_of_a_script_is_a_failure() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
@@ -113,7 +113,7 @@ fn a_refusal_is_a_failure() {
 }
 
 #[test]
-fn a_robot_that_tells_nothing_and_is_full_for_a_moment_has_not_accepted() {
+fn robot_that_reports_nothing_and_is_briefly_full_has_not_accepted() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let mut bench = Bench::new(&[Tells::Everything, Tells::Nothing], &scripts);
     bench.silent = vec![1];
@@ -129,7 +129,7 @@ fn a_robot_that_tells_nothing_and_is_full_for_a_moment_has_not_accepted() {
 }
 
 #[test]
-fn a_decision_that_comes_too_late_for_the_leases_to_run_out_is_none() {
+fn act_is_withdrawn_if_decision_is_too_late_for_leases_to_expire() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
@@ -141,7 +141,7 @@ fn a_decision_that_comes_too_late_for_the_leases_to_run_out_is_none() {
 }
 
 #[test]
-fn what_would_start_before_its_lease_can_end_is_not_decided() {
+fn act_is_not_decided_if_a_robot_would_start_before_its_lease_can_end() {
     for (ahead, decided) in [(500, 0), (0, 1)] {
         let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 100)]]) };
         bench.promise(Leases::Shortened);
@@ -157,7 +157,7 @@ fn what_would_start_before_its_lease_can_end_is_not_decided() {
 }
 
 #[test]
-fn only_as_much_is_sent_as_a_device_holds() {
+fn scripts_are_sent_only_up_to_the_capacity_of_a_device() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
@@ -166,7 +166,7 @@ fn only_as_much_is_sent_as_a_device_holds() {
 }
 
 #[test]
-fn what_follows_the_first_script_of_a_device_is_sent_once_that_is_accepted() {
+fn following_script_of_a_device_is_sent_once_the_first_is_accepted() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100)]];
     let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
     bench.promise(Leases::Shortened);
@@ -188,7 +188,7 @@ fn completed() -> ScriptState {
 }
 
 #[test]
-fn a_robot_has_accepted_once_all_its_scripts_are() {
+fn robot_has_accepted_once_all_its_scripts_are_accepted() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("b", 0, 100)]];
     let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
     bench.promise(Leases::Shortened);
@@ -203,7 +203,7 @@ fn a_robot_has_accepted_once_all_its_scripts_are() {
 }
 
 #[test]
-fn requests_are_named_after_the_time_at_which_they_are_sent() {
+fn request_ids_contain_the_time_of_sending() {
     let mut bench = Bench::pair();
     bench.promise(Leases::Shortened);
     let micros = bench.timing().timestamp.as_nanos() / 1_000;
@@ -224,7 +224,7 @@ fn promised_to_one(scripts: &[Planned], leases: Leases) -> Bench {
 }
 
 #[test]
-fn a_script_waits_under_the_lease_that_it_was_given_last() {
+fn script_waits_under_its_most_recent_lease() {
     let scripts: [Planned; 5] = [("a", 0, 60), ("a", 60, 60), ("b", 60, 60), ("c", 239, 60), ("d", 240, 60)];
     for leases in [Leases::Shortened, Leases::Fixed] {
         let bench = promised_to_one(&scripts, leases);
@@ -241,7 +241,7 @@ fn a_script_waits_under_the_lease_that_it_was_given_last() {
 }
 
 #[test]
-fn scripts_wait_behind_the_first_one_of_their_device_until_all_of_them_were_sent() {
+fn scripts_wait_behind_first_one_of_their_device_until_all_are_sent() {
     let scripts: [Planned; 4] = [("a", 0, 60), ("a", 60, 60), ("a", 120, 60), ("b", 60, 60)];
     let mut bench = promised_to_one(&scripts, Leases::Shortened);
     let waits = |bench: &Bench| [0, 1, 2, 3].map(|script| bench.act.members()[0].waits_for(script));
@@ -255,7 +255,7 @@ fn scripts_wait_behind_the_first_one_of_their_device_until_all_of_them_were_sent
 }
 
 #[test]
-fn a_round_asks_a_robot_once_for_each_instant_at_which_its_devices_begin() {
+fn round_asks_a_robot_once_per_start_instant_of_its_devices() {
     for (scripts, questions) in [
         (&[("a", 0, 60), ("a", 60, 60), ("b", 0, 60)][..], 1),
         (&[("a", 0, 60), ("b", 60, 60), ("c", 60, 60)], 2),
@@ -267,7 +267,7 @@ fn a_round_asks_a_robot_once_for_each_instant_at_which_its_devices_begin() {
 }
 
 #[test]
-fn a_robot_holds_its_scripts_since_the_question_that_it_has_answered_with_all_of_them() {
+fn scripts_are_held_since_the_request_answered_with_all_of_them() {
     let mut bench = promised_to_one(&[("a", 0, 60), ("a", 60, 60), ("b", 0, 60)], Leases::Shortened);
     let holds = |bench: &Bench, since| bench.act.members()[0].holds_since(&bench.robots[0], at(since));
     let scripts = bench.scripts_of(0);
@@ -290,7 +290,7 @@ fn a_robot_holds_its_scripts_since_the_question_that_it_has_answered_with_all_of
 }
 
 #[test]
-fn a_robot_that_takes_no_inquiries_holds_what_it_has_accepted_unless_it_answers_no_questions_any_more() {
+fn robot_without_inquiry_support_holds_accepted_scripts_while_it_answers() {
     let mut bench = promised_to_one(&[("a", 0, 60)], Leases::Fixed);
     let holds = |bench: &Bench, since| bench.act.members()[0].holds_since(&bench.robots[0], at(since));
     assert!(!holds(&bench, 0));
@@ -302,7 +302,7 @@ fn a_robot_that_takes_no_inquiries_holds_what_it_has_accepted_unless_it_answers_
 }
 
 #[test]
-fn a_process_that_is_a_little_late_for_the_decision_has_read_what_has_come_and_blames_who_is_missing() {
+fn slightly_late_process_has_read_all_answers_and_fails_missing_robot() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(bench.timing().decision - ms(1));
@@ -312,7 +312,7 @@ fn a_process_that_is_a_little_late_for_the_decision_has_read_what_has_come_and_b
 }
 
 #[test]
-fn an_act_that_does_not_fit_is_looked_at_again_in_time_or_when_something_has_changed() {
+fn act_that_does_not_fit_is_checked_again_in_time_or_after_a_change() {
     let mut bench = Bench::pair();
     bench.pump();
     assert_eq!(bench.act.progress(), Progressed::Ready);

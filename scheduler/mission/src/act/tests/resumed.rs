@@ -32,7 +32,7 @@ pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
 }
 
 #[test]
-fn an_act_of_which_another_script_was_promised_is_not_taken_up() {
+fn act_with_a_different_promised_script_is_not_taken_over() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let (other, mut promise) = promised(&scripts);
     promise.scripts[1].content_hash = urrcp::Command::ReadSensor.content_hash();
@@ -43,7 +43,7 @@ fn an_act_of_which_another_script_was_promised_is_not_taken_up() {
 }
 
 #[test]
-fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn() {
+fn decided_act_is_committed_if_time_remains_and_otherwise_withdrawn() {
     for (before_start, commits) in [(ms(330), true), (ms(200), false), (ms(20), false), (ms(-500), false)] {
         let mut bench = taken_up(Reached::Decision, before_start);
         bench.run_until(bench.start().max(bench.now));
@@ -62,7 +62,7 @@ fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn
 }
 
 #[test]
-fn an_act_whose_commitment_was_written_down_ahead_of_time_is_still_committed_all_or_none() {
+fn act_with_commitment_recorded_early_is_still_committed_all_or_none() {
     let mut bench = taken_up(Reached::Commitment, ms(400));
     assert_eq!(bench.act.progress(), Progressed::Approaching);
     bench.run_until(bench.start());
@@ -73,7 +73,7 @@ fn an_act_whose_commitment_was_written_down_ahead_of_time_is_still_committed_all
 }
 
 #[test]
-fn no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it() {
+fn no_robot_fails_because_a_process_took_over_too_late_to_ask_it() {
     for before_start in [200, 69, 20, -500] {
         let mut bench = taken_up(Reached::Decision, ms(before_start));
         bench.run_until(bench.start().max(bench.now));
@@ -84,7 +84,7 @@ fn no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it() {
 }
 
 #[test]
-fn an_act_that_was_only_decided_is_sent_again_where_it_never_came_and_not_committed_where_it_is_lost() {
+fn decided_act_is_resent_if_never_received_and_not_committed_if_lost() {
     let mut bench = taken_up(Reached::Decision, ms(330));
     bench.sent.clear();
     bench.run_until(bench.start());
@@ -102,7 +102,7 @@ fn an_act_that_was_only_decided_is_sent_again_where_it_never_came_and_not_commit
 }
 
 #[test]
-fn an_act_that_was_committed_plays_on() {
+fn committed_act_continues_to_play() {
     let mut bench = taken_up(Reached::Commitment, ms(100));
     assert!(bench.act.is_committed());
     bench.ask(0);
@@ -112,7 +112,7 @@ fn an_act_that_was_committed_plays_on() {
 }
 
 #[test]
-fn what_ended_without_a_scheduler_is_asked_for_before_a_robot_has_failed() {
+fn script_ended_without_a_scheduler_is_asked_about_before_robot_fails() {
     let mut bench = taken_up(Reached::Commitment, ms(-10_000));
     bench.pump();
     bench.run_until(bench.now + ms(1));
@@ -124,7 +124,7 @@ fn what_ended_without_a_scheduler_is_asked_for_before_a_robot_has_failed() {
 }
 
 #[test]
-fn what_a_robot_does_not_know_after_its_start_is_lost_and_never_sent_late() {
+fn script_unknown_to_robot_after_its_start_is_lost_and_not_sent_late() {
     let mut bench = taken_up(Reached::Commitment, ms(-1_000));
     bench.sent.clear();
     let script = bench.scripts_of(1)[0];
@@ -135,7 +135,7 @@ fn what_a_robot_does_not_know_after_its_start_is_lost_and_never_sent_late() {
 }
 
 #[test]
-fn of_a_script_that_another_process_may_have_sent_nobody_says_that_it_was_not() {
+fn script_possibly_sent_by_another_process_is_reported_as_unknown() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("a", 500, 400), ("a", 1_000, 400)]];
     let (other, promise) = promised(&scripts);
     let robots = robots(&[Tells::Everything], 2);
@@ -150,7 +150,7 @@ fn of_a_script_that_another_process_may_have_sent_nobody_says_that_it_was_not() 
 }
 
 #[test]
-fn what_was_promised_has_to_be_what_the_choreography_says() {
+fn promise_must_match_the_choreography() {
     let (other, promise) = promised(&[&[("a", 0, 400)]]);
     let robots = robots(&[Tells::Everything], 2);
     let take_up = |choreography, promise: &Promise| {
@@ -165,7 +165,7 @@ fn what_was_promised_has_to_be_what_the_choreography_says() {
 }
 
 #[test]
-fn what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown_by_its_time() {
+fn script_reported_only_to_previous_process_ends_as_unknown_on_time() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 400)]];
     let mut other = Bench::new(&[Tells::Reports], &scripts);
     other.promise(Leases::Fixed);
@@ -187,7 +187,7 @@ fn what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown
 }
 
 #[test]
-fn what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_may_have_sent_it() {
+fn script_of_another_process_refused_as_late_may_have_been_played() {
     let mut bench = taken_up(Reached::Commitment, ms(-1_000));
     let script = bench.scripts_of(0)[0];
     bench.refuse(script, ErrorCode::Late);
@@ -195,7 +195,7 @@ fn what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_m
 }
 
 #[test]
-fn a_script_that_another_process_may_have_sent_and_that_fails_after_its_start_may_have_begun() {
+fn script_of_another_process_that_fails_after_start_may_have_begun() {
     for (before_start, begun) in [(ms(-500), true), (ms(500), false)] {
         let mut bench = taken_up(Reached::Commitment, before_start);
         let script = bench.scripts_of(0)[0];
@@ -206,7 +206,7 @@ fn a_script_that_another_process_may_have_sent_and_that_fails_after_its_start_ma
 }
 
 #[test]
-fn a_script_of_which_a_robot_reports_the_hash_was_accepted_and_may_have_begun() {
+fn script_reported_with_its_hash_was_accepted_and_may_have_begun() {
     for accepted in [true, false] {
         let mut bench = taken_up(Reached::Commitment, ms(-500));
         let (script, now) = (bench.scripts_of(0)[0], bench.now);
@@ -220,7 +220,7 @@ fn a_script_of_which_a_robot_reports_the_hash_was_accepted_and_may_have_begun() 
 }
 
 #[test]
-fn offsets_continue_from_those_in_the_journal_no_faster_than_clocks_drift() {
+fn offsets_change_from_journal_values_no_faster_than_clocks_drift() {
     let (other, mut promise) = promised(&[&[("a", 0, 400), ("a", 10_000, 400), ("a", 30_000, 400)]]);
     promise.scripts.iter_mut().for_each(|script| script.shift = ms(7));
     let mut robots = robots(&[Tells::Everything], 2);
@@ -266,7 +266,7 @@ fn exchange(ahead: i64, back: i64) -> ClockSample {
 }
 
 #[test]
-fn a_clock_counts_as_set_only_beyond_the_uncertainty_of_all_clocks_and_the_drift_until_the_end() {
+fn clock_is_considered_set_only_beyond_uncertainty_and_possible_drift() {
     let sure = exchange(0, 0);
     assert!(clocks_after_take_up(2_000, [exchange(60, 0), sure, sure]).is_some());
     assert!(clocks_after_take_up(2_000, [sure, exchange(60, 0), exchange(60, 0)]).is_some());

@@ -25,7 +25,7 @@ fn broke_off(bench: &Bench, ends: Span) -> bool {
 }
 
 #[test]
-fn a_script_is_broken_off_by_a_lease_that_ends_while_it_plays() {
+fn script_is_interrupted_by_a_lease_that_ends_while_it_plays() {
     let bench = plays_from(300, 4_000);
     let nanosecond = Span::from_nanos(1);
     for (ends, broken) in [
@@ -40,7 +40,7 @@ fn a_script_is_broken_off_by_a_lease_that_ends_while_it_plays() {
 }
 
 #[test]
-fn a_script_is_broken_off_where_its_robot_was_sent_it_by_a_clock_that_is_ahead() {
+fn script_interruption_is_judged_by_a_robot_clock_that_is_ahead() {
     let mut bench =
         Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 300, 4_000)]]);
     bench.pump();
@@ -56,7 +56,7 @@ fn a_script_is_broken_off_where_its_robot_was_sent_it_by_a_clock_that_is_ahead()
 }
 
 #[test]
-fn a_silence_that_a_coarse_clock_may_have_lengthened_breaks_nothing_off() {
+fn silence_within_the_resolution_of_a_coarse_clock_interrupts_nothing() {
     let bench = plays_from(300, 4_000);
     let before = by_robot(bench.start() + ms(100));
     let broke_off = |after: Span| bench.act.broke_off(1, (before, before + bench::RUNNING + after)).is_some();
@@ -65,7 +65,7 @@ fn a_silence_that_a_coarse_clock_may_have_lengthened_breaks_nothing_off() {
 }
 
 #[test]
-fn what_is_known_of_a_clock_counts_though_nothing_is_known_of_another() {
+fn known_clock_is_used_even_if_another_clock_is_unknown() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Abort);
         bench.decide(leases);
@@ -84,7 +84,7 @@ fn what_is_known_of_a_clock_counts_though_nothing_is_known_of_another() {
 }
 
 #[test]
-fn where_the_clocks_show_nothing_new_nothing_is_told() {
+fn nothing_is_reported_if_clocks_are_unchanged() {
     let mut bench = Bench::of_three(Policy::Abort);
     bench.decide(Leases::Shortened);
     assert!(bench.act.allow_for(bench.now, &bench.robots).is_empty());

@@ -23,7 +23,7 @@ fn behind_another(wait: Wait) -> Bench {
 }
 
 #[test]
-fn an_act_that_waits_for_the_operator_goes_on_when_told_and_not_before() {
+fn act_that_waits_for_the_operator_continues_only_after_go() {
     let mut bench = waits_for(Wait::Operator);
     bench.pump();
     bench.run_until(at(900));
@@ -35,7 +35,7 @@ fn an_act_that_waits_for_the_operator_goes_on_when_told_and_not_before() {
 }
 
 #[test]
-fn go_does_not_count_ahead_of_the_act_that_waits_for_it() {
+fn go_is_ignored_until_the_act_that_waits_for_it_is_next() {
     let mut bench = behind_another(Wait::Operator);
     bench.pump();
     assert!(!bench.act.go());
@@ -46,14 +46,14 @@ fn go_does_not_count_ahead_of_the_act_that_waits_for_it() {
 }
 
 #[test]
-fn go_does_not_count_for_an_act_that_waits_for_something_else() {
+fn go_is_ignored_for_an_act_that_waits_for_something_else() {
     let range = SensorRange::Above(1.0);
     let wait = Wait::Sensor { robot: "r0".into(), sensor: "a".into(), range };
     assert!(!waits_for(wait).act.go());
 }
 
 #[test]
-fn waiting_ends_with_the_timeout_counted_from_when_it_is_alone() {
+fn wait_timeout_begins_when_the_act_becomes_next() {
     let mut bench = behind_another(Wait::Operator);
     bench.run_until(at(5_000));
     assert_eq!(bench.went, None);
@@ -68,7 +68,7 @@ fn waiting_ends_with_the_timeout_counted_from_when_it_is_alone() {
 }
 
 #[test]
-fn a_sensor_is_read_again_until_its_reading_will_do() {
+fn sensor_is_read_again_until_its_reading_is_in_range() {
     let range = SensorRange::Above(1.0);
     let mut bench = waits_for(Wait::Sensor { robot: "r0".into(), sensor: "a".into(), range });
     bench.pump();
@@ -82,7 +82,7 @@ fn a_sensor_is_read_again_until_its_reading_will_do() {
 }
 
 #[test]
-fn an_act_that_follows_another_aims_at_its_end_and_one_with_a_time_at_the_later_of_both() {
+fn act_targets_end_of_previous_act_or_its_own_time_whichever_is_later() {
     let mut follows = behind_another(Wait::Done);
     follows.pump();
     assert_eq!(follows.act.target(), Some(at(500)));
@@ -117,19 +117,19 @@ fn waits_across_a_change(since: i64, shown: i64) -> (String, Option<Timestamp<Se
 }
 
 #[test]
-fn an_act_waits_for_a_time_by_the_clocks_of_that_time() {
+fn act_waits_for_a_time_in_the_utc_offset_of_that_time() {
     assert_eq!(waits_across_a_change(-HOUR, 2 * HOUR).1, Some(at(HOUR)));
 }
 
 #[test]
-fn an_act_whose_time_clocks_skip_starts_as_they_skip_it_and_says_so() {
+fn act_with_a_skipped_local_time_starts_at_the_skip_and_reports_it() {
     let (awaits, fixed) = waits_across_a_change(-HOUR, HOUR / 2);
     assert_eq!(fixed, Some(at(0)));
     assert!(awaits.contains(", because 00:46:40 does not exist on 1 Jan 1970"), "{awaits}");
 }
 
 #[test]
-fn an_act_whose_time_clocks_show_twice_says_which_it_means() {
+fn act_with_an_ambiguous_local_time_reports_its_utc_offset() {
     let half = HOUR / 2;
     for (since, start, offset) in [(BACK - HOUR, BACK - half, "UTC+01:00"), (BACK, BACK + half, "UTC+00:00")]
     {
@@ -140,7 +140,7 @@ fn an_act_whose_time_clocks_show_twice_says_which_it_means() {
 }
 
 #[test]
-fn a_time_that_has_just_passed_when_an_act_becomes_the_next_one_is_tomorrow() {
+fn time_just_passed_when_its_act_becomes_next_refers_to_tomorrow() {
     let (awaits, fixed) = waits_across_a_change(-30 * HOUR, -30 * HOUR - 1);
     assert_eq!(fixed, Some(at(-6 * HOUR - 1)));
     assert!(awaits.contains(" on 31 Dec 1969"), "{awaits}");

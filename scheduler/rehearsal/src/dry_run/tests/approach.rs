@@ -42,7 +42,7 @@ fn approached(on_failure: &str) -> Played {
 }
 
 #[test]
-fn an_approach_is_committed_for_all_robots_or_none_or_without_those_that_failed_as_the_show_says() {
+fn approach_is_all_or_none_or_without_failed_robots_as_the_show_states() {
     for (on_failure, outcome, moves) in
         [("stop", Outcome::NotStarted, 0), ("without", Outcome::DoneWithout, 1)]
     {

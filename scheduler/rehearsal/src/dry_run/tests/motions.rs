@@ -65,7 +65,7 @@ fn error(motion: &MotionReport) -> f64 {
 }
 
 #[test]
-fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_known() {
+fn sensors_show_motions_in_sync_only_with_known_latencies() {
     let (apart, spread) = motions(["clock: ntp", "clock: ntp"], "{}");
     let [left, right] = apart.as_slice() else { panic!("{apart:?}") };
     for (motion, latency) in [(left, 62.84), (right, 14.84)] {

@@ -11,7 +11,7 @@ use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[tokio::test]
-async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
+async fn stop_never_waits_behind_an_unread_upload() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let port = listener.local_addr().unwrap().port();
     let (events, _happened) = mpsc::channel(64);
@@ -40,7 +40,7 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
 }
 
 #[tokio::test]
-async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_by_a_connection_of_its_own() {
+async fn stop_behind_a_long_upload_uses_a_separate_connection() {
     for (messages, overtakes) in [(400, true), (100, false)] {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         // Even a slow reader does not reach this limit.
@@ -124,7 +124,7 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
 }
 
 #[tokio::test]
-async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
+async fn invalid_lines_are_reported_and_the_link_stays_open() {
     let device = |i: usize| format!(r#"{{"id":"d{i}","name":"","available_control_types":{{}}}}"#);
     let devices: Vec<_> = (0..32_001).map(device).collect();
     let block = |devices: &str| {
@@ -187,7 +187,7 @@ async fn flooded_by(bytes: &'static [u8]) -> (u64, Event) {
 }
 
 #[tokio::test]
-async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
+async fn link_with_far_more_data_than_requested_is_closed() {
     const ANSWER: &str = "{\"availability_response\":{\"receive_timestamp\":\"2026-11-20T19:00:00Z\",\
         \"timestamp\":\"2026-11-20T19:00:00Z\",\"status\":\"OK\"}}\n";
     // Blocks of 64 KiB, so that the bytes arrive faster than the link's reserve is refilled, even on a busy machine.
@@ -213,7 +213,7 @@ async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
 }
 
 #[tokio::test]
-async fn one_link_takes_no_more_of_the_queue_than_its_places() {
+async fn link_occupies_at_most_its_places_in_the_queue() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (host, port) = ("127.0.0.1".to_owned(), listener.local_addr().unwrap().port());
     let (events, mut happened) = mpsc::channel(10_000);
@@ -264,7 +264,7 @@ fn loss(event: &Event) -> Loss {
 }
 
 #[tokio::test]
-async fn where_no_process_listens_connecting_is_refused() {
+async fn connecting_without_a_listener_is_refused() {
     let port = {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         listener.local_addr().unwrap().port()
@@ -274,7 +274,7 @@ async fn where_no_process_listens_connecting_is_refused() {
 }
 
 #[tokio::test]
-async fn a_robot_that_closes_an_idle_link_is_noticed_though_nothing_is_sent() {
+async fn idle_link_closed_by_robot_is_noticed_without_sending() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     for resets in [false, true] {
         let (_link, mut happened) = linked(listener.local_addr().unwrap().port());
@@ -289,7 +289,7 @@ async fn a_robot_that_closes_an_idle_link_is_noticed_though_nothing_is_sent() {
 }
 
 #[tokio::test]
-async fn a_robot_that_does_not_read_fills_its_queue_and_the_sender_is_told() {
+async fn unread_messages_fill_the_queue_and_sender_gets_an_error() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, _happened) = linked(listener.local_addr().unwrap().port());
     let (mut stream, _) = listener.accept().await.unwrap();
@@ -311,7 +311,7 @@ async fn a_robot_that_does_not_read_fills_its_queue_and_the_sender_is_told() {
 }
 
 #[tokio::test]
-async fn a_script_that_a_robot_repeats_is_the_one_that_was_sent_to_it() {
+async fn script_repeated_by_robot_reuses_the_one_sent() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, mut happened) = linked(listener.local_addr().unwrap().port());
     let step = |value| Step::new(Millis::ZERO, Setpoint::new(ControlType::Position, value));

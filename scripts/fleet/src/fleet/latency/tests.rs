@@ -40,7 +40,7 @@ fn entry(device: &str, median: f64, spread: f64, from: LatencySource) -> (String
 const FILE: &str = "latency: {arm: {elbow: {median: 30ms, spread: 1.5ms}}}";
 
 #[test]
-fn the_fleet_counts_more_than_the_file_and_the_file_more_than_the_robot() {
+fn latency_in_fleet_overrides_file_and_file_overrides_robot() {
     use LatencySource::{File, Fleet, Robot};
     assert_eq!(latencies("", None), [entry("elbow", 25.0, 2.0, Robot)]);
     assert_eq!(latencies("", Some(FILE)), [entry("elbow", 30.0, 1.5, File)]);
@@ -65,7 +65,7 @@ fn check_refused(keys: &str, file: Option<&str>, (place, message): ((&str, usize
 }
 
 #[test]
-fn a_latency_that_cannot_be_is_refused_where_it_is_written() {
+fn invalid_latency_is_refused_at_its_position() {
     let negative = "latency:\n  arm:\n    elbow: {median: -3ms}\n";
     check_refused("", Some(negative), (("latency.yaml", 3, 21), "invalid time `-3ms`"));
     let long = "latency:\n  arm:\n    elbow: {median: 3ms, spread: 11s}\n";
@@ -86,7 +86,7 @@ fn a_latency_that_cannot_be_is_refused_where_it_is_written() {
 }
 
 #[test]
-fn what_was_measured_of_a_robot_or_device_that_is_gone_is_a_warning() {
+fn latency_of_missing_robot_or_device_causes_a_warning() {
     let file = "latency:\n  arm:\n    elbwo: {median: 3ms}\n  leg: {knee: {median: 4ms}}\n";
     let (fleet, findings) = fleet("", Some(file));
     assert!(fleet.is_some());
@@ -97,7 +97,7 @@ fn what_was_measured_of_a_robot_or_device_that_is_gone_is_a_warning() {
 }
 
 #[test]
-fn a_file_that_is_written_is_read_back() {
+fn written_latency_file_is_read_back() {
     let ms = Span::from_micros;
     let whole = MeasuredLatency {
         median: ms(41_200),

@@ -178,7 +178,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     #[test]
-    fn no_steps_at_any_time_are_fewer(case in cases(), tolerance in tolerances()) {
+    fn no_choice_of_step_times_needs_fewer_steps(case in cases(), tolerance in tolerances()) {
         match (case.fewest(tolerance), case.by_trying(tolerance)) {
             (Ok(fit), Some(fewest)) => {
                 prop_assert_eq!(fit.steps.len(), fewest, "{:?}", fit);
@@ -204,7 +204,7 @@ proptest! {
     }
 
     #[test]
-    fn of_too_many_steps_more_than_that_are_found(case in cases(), tolerance in tolerances(), most in 0usize..6) {
+    fn limited_search_returns_all_steps_or_more_than_the_limit(case in cases(), tolerance in tolerances(), most in 0usize..6) {
         if let Ok(all) = case.fewest(tolerance) {
             let some = case.fewest_of(tolerance, most).unwrap();
             // A step shorter than a nanosecond may be counted here.
@@ -213,7 +213,7 @@ proptest! {
     }
 
     #[test]
-    fn no_numbers_make_it_panic(
+    fn arbitrary_numbers_never_panic(
         values in prop::collection::vec(any::<f64>(), 1..5),
         (min, max, granularity, tolerance) in any::<(f64, f64, f64, f64)>(),
         (first, last, written) in any::<(Option<f64>, Option<f64>, f64)>(),
@@ -234,7 +234,7 @@ proptest! {
 }
 
 #[test]
-fn a_value_changes_in_the_nanosecond_of_the_crossing() {
+fn value_changes_within_the_nanosecond_of_the_crossing() {
     let value = |_: usize, at: i64| (at as f64 / 1e9).powi(3);
     let mut movement = Movement::new(&value, 0.5);
     movement.follow(0, 2_000_000_000, Rates { slope: 12.0, curvature: 12.0 });

@@ -50,7 +50,7 @@ fn fault(text: &str) -> (String, String, Option<String>) {
 }
 
 #[test]
-fn numbers_are_calculated_as_on_paper() {
+fn arithmetic_is_evaluated_as_on_paper() {
     for (text, value) in [
         ("1 + 2 * 3", 7.0),
         ("(1 + 2) * 3", 9.0),
@@ -85,7 +85,7 @@ fn numbers_are_calculated_as_on_paper() {
 }
 
 #[test]
-fn plain_angles_are_degrees_and_multiples_of_pi_are_angles() {
+fn plain_angles_are_degrees_and_multiples_of_pi_are_radians() {
     for (text, value) in [
         ("sin(30)", 0.5),
         ("sin(180)", 0.0),
@@ -106,7 +106,7 @@ fn plain_angles_are_degrees_and_multiples_of_pi_are_angles() {
 }
 
 #[test]
-fn times_are_exact_and_keep_their_beats() {
+fn times_are_calculated_exactly_including_beats() {
     for (text, value) in [
         ("8s / 4", 2_000_000_000),
         ("$pace * 3 / 7 * 7", 6_000_000_000),
@@ -125,7 +125,7 @@ fn times_are_exact_and_keep_their_beats() {
 }
 
 #[test]
-fn what_is_wrong_is_found_at_its_characters() {
+fn faults_are_reported_at_their_characters() {
     for (text, at, message) in [
         ("1 + $b", "$b", "unknown variable `b`"),
         ("1 + sine(3)", "sine", "unknown name `sine`"),
@@ -158,7 +158,7 @@ fn what_is_wrong_is_found_at_its_characters() {
 }
 
 #[test]
-fn the_index_is_known_only_in_what_a_robot_does() {
+fn index_is_available_only_within_robot_actions() {
     let (mut reader, node) = (reader(), Node::Text("$index * 2".to_owned()));
     reader.robots.current = None;
     assert_eq!(reader.number(&At::document(&node, 0), "a number"), None);
@@ -166,7 +166,7 @@ fn the_index_is_known_only_in_what_a_robot_does() {
 }
 
 #[test]
-fn plain_texts_are_no_expressions() {
+fn plain_texts_are_not_expressions() {
     for text in ["front-left", "45,5", "45deg", "hello", "1:30", "-1s", "n.a."] {
         assert!(!is_one(text) || text == "-1s", "{text}");
     }
@@ -177,7 +177,7 @@ fn plain_texts_are_no_expressions() {
 }
 
 #[test]
-fn the_value_of_a_variable_is_found_where_it_is_written() {
+fn variables_are_evaluated_where_they_are_defined() {
     let mut reader = reader();
     reader.robots.current = None;
     let mut define = |name: &str, text: &str| {
@@ -206,7 +206,7 @@ fn the_value_of_a_variable_is_found_where_it_is_written() {
 }
 
 #[test]
-fn nothing_deep_or_long_takes_the_stack_or_the_time() {
+fn too_deep_or_too_long_expressions_are_refused() {
     let deep = "(".repeat(1_500);
     assert!(fault(&deep).1.contains("too deeply"));
     assert!(fault(&format!("{}1", "-".repeat(1_500))).1.contains("too deeply"));
@@ -235,7 +235,7 @@ fn formula(text: &str) -> Formula {
 }
 
 #[test]
-fn formulas_are_values_over_time() {
+fn formulas_give_values_over_time() {
     for (text, seconds, value) in [
         ("$a * cos(2 * pi * t / 8s)", 2.0, 0.0),
         ("$a * cos(360 * t / 8s)", 4.0, -3.0),
@@ -256,7 +256,7 @@ fn formulas_are_values_over_time() {
 }
 
 #[test]
-fn pieces_end_at_corners_and_jumps_to_the_nanosecond() {
+fn pieces_end_within_nanoseconds_of_corners_and_jumps() {
     let found =
         |text: &str, seconds: i64| pieces(&formula(text), Span::from_millis(1_000 * seconds)).unwrap();
     // For each time in `wanted`, a piece begins within 2.5 ns of it.
@@ -279,13 +279,13 @@ fn pieces_end_at_corners_and_jumps_to_the_nanosecond() {
 
 proptest! {
     #[test]
-    fn no_text_makes_it_panic(text in "[-$a-c0-9.()+*/%<>=, tsmi!?&|:]{0,40}") {
+    fn arbitrary_text_never_panics(text in "[-$a-c0-9.()+*/%<>=, tsmi!?&|:]{0,40}") {
         tried(&text);
     }
 
     /// The slope and the curvature of a formula stay within the computed bounds everywhere in each piece.
     #[test]
-    fn slopes_and_curvatures_keep_within_their_bounds(
+    fn slopes_and_curvatures_stay_within_their_bounds(
         kind in 0usize..8, p in 1i32..9, q in 1i32..9,
     ) {
         let text = [

@@ -79,14 +79,14 @@ mod tests {
     }
 
     #[test]
-    fn a_coordinate_with_two_columns_is_told() {
+    fn duplicate_coordinate_column_is_reported() {
         let told = read(b"x,x,y,z\n1,2,3,4\n").err().map(|unfit| unfit.message);
         assert_eq!(told.as_deref(), Some("duplicate column `x` in line 1"));
         check("x,x_speed,y,z\n1,2,3,4\n", &[[1.0, 3.0, 4.0]]);
     }
 
     #[test]
-    fn columns_are_separated_as_the_first_of_tab_semicolon_and_comma_that_there_is() {
+    fn separator_is_the_first_present_of_tab_semicolon_and_comma() {
         check("x,y,z\n1.5,2.5,3\n", &[[1.5, 2.5, 3.0]]);
         check("1,2,3\n", &[[1.0, 2.0, 3.0]]);
         check("name;x;y;z\np1;1,5;2,5;3,5\n", &[[1.5, 2.5, 3.5]]);
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_without_three_numbers_is_refused() {
+    fn row_without_three_numbers_is_refused() {
         assert!(read(b"1;2\n").is_err() && read(b"x,y,z\n1,2,high\n").is_err());
     }
 }

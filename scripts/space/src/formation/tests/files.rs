@@ -66,7 +66,7 @@ fn tables_are_read_with_and_without_a_header() {
 }
 
 #[test]
-fn a_drawing_with_an_arc_beyond_all_measure_is_refused_soon() {
+fn drawing_with_a_huge_arc_is_refused_quickly() {
     let path =
         |data: &str| format!("<svg xmlns='http://www.w3.org/2000/svg'><path d='{data}' stroke='red'/></svg>");
     let huge = format!("M0 0 A2 2 0 1 0 {} 5 Z", "9".repeat(44));
@@ -88,7 +88,7 @@ fn a_drawing_with_an_arc_beyond_all_measure_is_refused_soon() {
 }
 
 #[test]
-fn vertices_are_read_from_text_and_binary() {
+fn vertices_are_read_from_text_and_binary_files() {
     let expected = [[1.0, 2.0, 3.0], [-1.5, 0.25, -7.0]];
     points("a.ply", TEXT_PLY.as_bytes(), &expected);
     points("a.ply", &binary_ply(), &expected);
@@ -106,7 +106,7 @@ fn vertices_are_read_from_text_and_binary() {
 }
 
 #[test]
-fn triangles_are_read_from_text_and_binary() {
+fn triangles_are_read_from_text_and_binary_files() {
     let mut text = "solid square\n".to_owned();
     for triangle in TRIANGLES {
         let corners = triangle.map(|[x, y, z]| format!("vertex {x} {y} {z}\n")).concat();
@@ -122,7 +122,7 @@ fn triangles_are_read_from_text_and_binary() {
 }
 
 #[test]
-fn a_file_that_is_not_what_its_name_says_is_refused() {
+fn file_that_does_not_match_its_extension_is_refused() {
     refused("a.ply", b"\x89PNG\r\n", "a picture");
     refused("a.ply", &binary_stl(), "not a PLY");
     refused("a.stl", TEXT_PLY.as_bytes(), "not an STL");
@@ -130,7 +130,7 @@ fn a_file_that_is_not_what_its_name_says_is_refused() {
 }
 
 #[test]
-fn a_surface_and_many_points_are_thinned_evenly() {
+fn surfaces_and_dense_clouds_are_thinned_evenly() {
     let surface = Shape::Surface(TRIANGLES.into());
     let grid = (0..50).flat_map(|x| (0..50).map(move |y| [f64::from(x) * 0.08, f64::from(y) * 0.08, 0.0]));
     let cloud = Shape::Cloud(grid.collect::<Vec<Point>>().into());
@@ -156,7 +156,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
     #[test]
-    fn any_bytes_are_a_cloud_or_are_refused(
+    fn arbitrary_bytes_are_read_as_a_cloud_or_refused(
         format in 0u8..3,
         from in 0usize..3,
         at in 0usize..400,

@@ -35,7 +35,7 @@ fn nearest(formation: &Formation, count: usize) -> f64 {
 }
 
 #[test]
-fn a_stroke_has_places_at_its_ends_and_evenly_between() {
+fn stroke_has_places_at_its_ends_and_evenly_between() {
     let stroke = of(&[vec![[0.0; 3], [1.0, 0.0, 0.0], [4.0, 0.0, 0.0]]]);
     same(&stroke.places(1).unwrap(), &[[2.0, 0.0, 0.0]]);
     same(&stroke.places(2).unwrap(), &[[0.0; 3], [4.0, 0.0, 0.0]]);
@@ -44,7 +44,7 @@ fn a_stroke_has_places_at_its_ends_and_evenly_between() {
 }
 
 #[test]
-fn strokes_are_cut_where_they_meet_so_that_no_two_places_are_one() {
+fn strokes_are_cut_at_junctions_so_that_places_are_distinct() {
     let letter = written("H");
     same(
         &letter.places(6).unwrap(),
@@ -61,7 +61,7 @@ fn strokes_are_cut_where_they_meet_so_that_no_two_places_are_one() {
 }
 
 #[test]
-fn a_closed_path_is_divided_evenly() {
+fn closed_path_is_divided_evenly() {
     let square = drawn(r#"<rect x="10" y="10" width="40" height="40"/>"#);
     assert!((nearest(&square, 8) - 20.0).abs() < 1e-3);
     let circle = drawn(r#"<circle cx="50" cy="50" r="40"/>"#);
@@ -73,7 +73,7 @@ fn a_closed_path_is_divided_evenly() {
 }
 
 #[test]
-fn every_letter_has_places_for_any_number_and_no_two_in_one() {
+fn every_letter_gives_any_number_of_distinct_places() {
     for letter in text::letters().chars() {
         let letter = letter.to_string();
         let formation = written(&letter);
@@ -93,7 +93,7 @@ fn every_letter_has_places_for_any_number_and_no_two_in_one() {
 }
 
 #[test]
-fn strokes_that_cross_have_no_two_places_in_one() {
+fn crossing_strokes_have_distinct_places() {
     let cross = of(&[vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], vec![[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]);
     for count in 2..30 {
         let even = 4.0 / f64::from(u32::try_from(count).unwrap());
@@ -102,7 +102,7 @@ fn strokes_that_cross_have_no_two_places_in_one() {
 }
 
 #[test]
-fn a_text_has_lines_with_a_common_middle_and_small_letters_as_capital_ones() {
+fn text_lines_are_centred_and_lowercase_equals_uppercase() {
     assert_eq!(text::strokes_of("go").unwrap(), text::strokes_of("GO").unwrap());
     assert_eq!(text::strokes_of("a%"), Err('%'));
     let all: Vec<[f64; 2]> = text::strokes_of("I\nHI").unwrap().concat();
@@ -112,7 +112,7 @@ fn a_text_has_lines_with_a_common_middle_and_small_letters_as_capital_ones() {
 }
 
 #[test]
-fn a_drawing_has_its_y_axis_up_and_its_groups_and_styles_are_resolved() {
+fn drawing_has_y_axis_up_and_resolved_groups_and_styles() {
     let line = r#"<g transform="translate(10 20) scale(2)"><path d="M0 0 h10" stroke="red"/></g>"#;
     let hidden = r#"<path d="M0 0 h90" style="display:none" stroke="red"/><path d="M0 0 h90" fill="none"/>"#;
     let used = r##"<defs><path id="p" d="M0 0 v10" stroke="red"/></defs><use href="#p" x="70"/>"##;
@@ -121,7 +121,7 @@ fn a_drawing_has_its_y_axis_up_and_its_groups_and_styles_are_resolved() {
 }
 
 #[test]
-fn what_is_no_drawing_is_refused() {
+fn invalid_drawing_is_refused() {
     let refused = |bytes: &[u8]| svg::read(bytes).unwrap_err().message;
     assert!(refused(b"solid").contains("not an SVG"));
     assert!(refused(b"\xff\xfe").contains("not an SVG"));
@@ -129,7 +129,7 @@ fn what_is_no_drawing_is_refused() {
 }
 
 #[test]
-fn nested_groups_and_multiplied_paths_end() {
+fn deeply_nested_groups_and_multiplied_paths_terminate() {
     let begin = r#"<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">"#;
     let deep = format!(
         "{begin}{}<path d='M0 0h9' stroke='red'/>{}</svg>",
@@ -177,14 +177,14 @@ fn nested_effects_do_not_multiply() {
 }
 
 #[test]
-fn reading_a_drawing_ends_after_the_maximum_time() {
+fn reading_a_drawing_has_a_time_limit() {
     let paths = "<path d='M0 0L1 1' stroke='red'/>".repeat(20_000);
     let unfit = svg::read_within(drawing(&paths), std::time::Duration::ZERO).unwrap_err();
     assert_eq!(unfit.message, "the drawing takes longer than 0 s to read");
 }
 
 #[test]
-fn style_sheets_that_would_take_hours_are_refused() {
+fn style_sheets_with_excessive_work_are_refused() {
     let paths = format!("{}{}{}", "<g>".repeat(300), "<path d='M0 0L1 1'/>".repeat(800), "</g>".repeat(300));
     for sheet in [
         "*{fill:red;stroke:blue;opacity:1}".repeat(9_000),
@@ -197,7 +197,7 @@ fn style_sheets_that_would_take_hours_are_refused() {
 }
 
 #[test]
-fn drawings_as_programs_write_them_are_read() {
+fn typical_exported_drawings_are_read() {
     let classes: String =
         (0..200).map(|i| format!(".cls-{i}{{fill:#fff;stroke:#000;stroke-width:2px}}")).collect();
     let paths: String = (0..3_000)
@@ -242,12 +242,12 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_a_drawing_or_are_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn arbitrary_bytes_are_read_as_a_drawing_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         super::super::tried::tried(3, &bytes);
     }
 
     #[test]
-    fn any_path_is_read(path in "[MmLlHhVvCcSsQqTtAaZz0-9 .,-]{0,60}") {
+    fn any_readable_path_gives_the_requested_number_of_places(path in "[MmLlHhVvCcSsQqTtAaZz0-9 .,-]{0,60}") {
         let drawing = format!("<svg xmlns='http://www.w3.org/2000/svg'><path d='{path}' stroke='red'/></svg>");
         if let Ok(strokes) = svg::read(drawing.as_bytes()) {
             for count in [1, 2, 7] {

@@ -46,7 +46,7 @@ fn ball(x: f64, y: f64, radius: f64) -> Mover {
 }
 
 #[test]
-fn two_planar_arms_come_closest_with_their_tips() {
+fn two_planar_arms_are_closest_at_their_tips() {
     let opposite = [4.5, 0.0, 0.0, PI];
     let through = between(&reaching([0.0; 4], [1.2, -0.8]), &reaching(opposite, [1.2, -0.8]));
     assert!((through.distance - (0.5 - 2.0 * RADIUS)).abs() < 1e-4, "{through:?}");
@@ -57,7 +57,7 @@ fn two_planar_arms_come_closest_with_their_tips() {
 }
 
 #[test]
-fn an_arm_touches_a_ball_when_its_tip_arrives() {
+fn arm_touches_a_ball_when_its_tip_arrives() {
     let arm = || reaching([0.0; 4], [1.2, 0.0]);
     let first = first_contact(&arm(), &ball(2.0, 0.0, 0.15)).unwrap();
     // 2 cos(angle) = 2 - 0.05 - 0.15
@@ -67,7 +67,7 @@ fn an_arm_touches_a_ball_when_its_tip_arrives() {
 }
 
 #[test]
-fn an_arm_leaves_its_volume_between_its_steps() {
+fn arm_leaves_its_volume_between_its_steps() {
     let hall = Volume { most: [1.9, f64::INFINITY, f64::INFINITY], ..Volume::default() };
     let out = furthest_out(&reaching([0.0; 4], [1.0, -1.0]), &hall).unwrap();
     assert!((out.distance - (2.0 + RADIUS - 1.9)).abs() < 1e-4 && (out.at - 1.0).abs() < 0.02, "{out:?}");
@@ -75,7 +75,7 @@ fn an_arm_leaves_its_volume_between_its_steps() {
 }
 
 #[test]
-fn an_arm_touches_a_floor_that_has_no_end() {
+fn arm_touches_an_infinite_floor() {
     let mut joints = vec![joint([0.0; 3])];
     joints[0].axis = [0.0, 1.0, 0.0];
     let body = Body { joints, tip: [1.0, 0.0, 0.0], ..Body::default() };
@@ -92,7 +92,7 @@ fn an_arm_touches_a_floor_that_has_no_end() {
 }
 
 #[test]
-fn roll_pitch_and_yaw_are_about_fixed_axes_and_a_joint_may_slide() {
+fn roll_pitch_and_yaw_use_fixed_axes_and_joints_may_slide() {
     let mut turned = joint([0.0, 0.0, 1.0]);
     // x points up after the pitch, then to the left of its initial direction after the yaw.
     turned.rpy = [0.3, -FRAC_PI_2, FRAC_PI_2];
@@ -106,7 +106,7 @@ fn roll_pitch_and_yaw_are_about_fixed_axes_and_a_joint_may_slide() {
 }
 
 #[test]
-fn arms_that_move_alike_keep_their_distance() {
+fn arms_with_equal_motion_keep_their_distance() {
     let swing = || (0..200).map(|n| (f64::from(n) / 10.0, f64::from(n % 2) * 3.0)).collect::<Vec<_>>();
     let of = |x| arm(&planar(), [x, 0.0, 0.0, 0.0], vec![axis(&swing()), axis(&swing())], 19.9);
     let found = between(&of(0.0), &of(5.0));
@@ -114,7 +114,7 @@ fn arms_that_move_alike_keep_their_distance() {
 }
 
 #[test]
-fn arms_that_turn_absurdly_far_are_judged_in_no_time() {
+fn arms_turning_absurdly_far_are_checked_quickly() {
     for far in [1e6, 1e150, 1e308] {
         let way = || axis(&[(0.0, -far), (1.0, far), (2.0, -far)]);
         let of = |x| arm(&planar(), [x, 0.0, 0.0, 0.0], vec![way(), way()], 2.0);
@@ -281,7 +281,7 @@ proptest! {
 
     /// Sampling every millisecond finds no closer approach, regardless of the depth of the trees.
     #[test]
-    fn the_closest_approach_of_arms_is_that_of_a_slow_search(
+    fn closest_approach_of_arms_matches_a_slow_search(
         a in (any_arm(), ways()), b in (any_body(), ways()), deep in 0u32..7,
     ) {
         let ends = 4.0;
@@ -303,7 +303,7 @@ proptest! {
 
     /// No point of a link moves further, or bends more, than its bounds permit.
     #[test]
-    fn links_move_no_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
+    fn links_never_move_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
         let (body, ways) = &of;
         let solid = Solid::of(&Body { shape: POINT, ..body.clone() }, 0.0);
         let values = |i: usize| -> Vec<f64> {
@@ -332,7 +332,7 @@ proptest! {
 
     /// The distance between a link and a box, computed by the library, is the one that a search along the link finds.
     #[test]
-    fn the_distance_of_a_link_from_a_box_is_what_a_search_finds(
+    fn distance_between_link_and_box_matches_a_search(
         a in vector(1.5), b in vector(1.5), size in [0.05f64..1.0, 0.05..1.0, 0.05..1.0],
         place in [-0.5f64..0.5, -0.5..0.5, -0.5..0.5, -3.0..3.0], short in prop_oneof![Just(1.0), Just(1e-3), Just(0.0)],
     ) {
@@ -349,7 +349,7 @@ proptest! {
     }
 
     #[test]
-    fn the_distance_of_links_is_what_a_search_finds(
+    fn distance_between_links_matches_a_search(
         a in [vector(1.0), vector(1.0)], b in [vector(1.0), vector(1.0)], alike in prop_oneof![Just(0.0), Just(1e-6), Just(1.0)],
     ) {
         // The segments are often parallel, or nearly so.

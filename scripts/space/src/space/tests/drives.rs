@@ -33,7 +33,7 @@ fn holding(steps: &[(f64, f64)]) -> Axis {
 }
 
 #[test]
-fn constant_wheel_speeds_lead_round_a_circle() {
+fn constant_wheel_speeds_give_a_circle() {
     let wheel = |speed: f64| holding(&[(0.0, speed), (TAU, 0.0)]);
     // 0.5 m/s forward and 1 rad/s to the left: a radius of half a metre.
     let driven = drive(&wheels(0.2), [wheel(0.4), wheel(0.6)], TAU, 0.0);
@@ -50,7 +50,7 @@ fn constant_wheel_speeds_lead_round_a_circle() {
 }
 
 #[test]
-fn opposite_wheels_turn_on_the_spot_and_a_ramp_leads_straight_on() {
+fn opposite_wheels_turn_on_the_spot_and_a_ramp_drives_straight() {
     let wheel = |speed: f64| holding(&[(0.0, speed), (2.0, 0.0)]);
     let turned = drive(&wheels(0.3), [wheel(-0.15), wheel(0.15)], 2.0, 0.4);
     let end = turned.end.unwrap();
@@ -63,14 +63,14 @@ fn opposite_wheels_turn_on_the_spot_and_a_ramp_leads_straight_on() {
 }
 
 #[test]
-fn a_body_that_is_left_in_motion_goes_on_and_ends_nowhere() {
+fn body_left_in_motion_continues_and_has_no_end() {
     let driven = drive(&twist(), [holding(&[(0.0, 0.5)]), fixed(0.0)], 4.0, 0.0);
     assert_eq!(driven.end, None);
     assert!((at(&driven, 4.0)[0] - 2.0).abs() < 1e-12);
 }
 
 #[test]
-fn absurd_speeds_are_judged_in_no_time() {
+fn absurd_speeds_are_checked_quickly() {
     for fast in [1e4, 1e12, 1e300] {
         let wheel = |speed: f64| axis(&[(0.0, -speed), (10.0, speed)]);
         let driven = wheels(0.1).path(Pose::at([0.0; 3]), &[wheel(fast), wheel(-fast)], 10.0, 1.0);
@@ -116,7 +116,7 @@ proptest! {
 
     /// The polyline equals a slow integration up to its margin.
     #[test]
-    fn a_driven_body_is_where_a_slow_integration_brings_it(speed in signal(), turn in signal(), lever in 0.0..1.0f64) {
+    fn driven_body_matches_a_slow_integration(speed in signal(), turn in signal(), lever in 0.0..1.0f64) {
         let (ends, looks) = (10.0, 1_000);
         let driven = drive(&twist(), [speed.clone(), turn.clone()], ends, lever);
         prop_assert!(driven.margin < 1e-4, "{}", driven.margin);
@@ -133,7 +133,7 @@ proptest! {
 }
 
 #[test]
-fn a_box_that_drives_round_is_checked_with_its_margin() {
+fn rover_driving_in_an_arc_is_checked_with_its_margin() {
     let wheel = |speed: f64| holding(&[(0.0, speed), (PI, 0.0)]);
     let driven = drive(&wheels(0.2), [wheel(0.4), wheel(0.6)], PI, 0.15);
     let body = Body { shape: Shape::Ball { radius: 0.1 }, ..Body::default() };

@@ -44,7 +44,7 @@ fn repeated(row: &str, between: &str) -> String {
 }
 
 #[test]
-fn runs_of_every_style_are_read_as_the_library_reads_them() {
+fn keyframe_runs_in_every_style_are_read_as_by_library() {
     for row in [
         "{at: 1s, to: 2}",
         "{\"at\":\"40ms\",\"to\":-1.5e-3}",
@@ -65,7 +65,7 @@ fn runs_of_every_style_are_read_as_the_library_reads_them() {
 }
 
 #[test]
-fn what_only_looks_like_a_run_is_read_as_it_stands() {
+fn text_resembling_keyframe_run_is_read_as_written() {
     let rows = repeated("{at: 1s, to: 2}", ", ");
     let lines = repeated("- {at: 1s, to: 2}", "\n  ");
     for text in [
@@ -91,13 +91,13 @@ fn what_only_looks_like_a_run_is_read_as_it_stands() {
 }
 
 #[test]
-fn a_single_long_line_takes_no_longer_than_many() {
+fn long_line_is_processed_as_fast_as_many_lines() {
     let text = format!("a: [{}]\n", "{at: 1s, to: x}, aaaaaaaa, ".repeat(200_000));
     assert!(condense(&text).is_none());
 }
 
 #[test]
-fn numbers_and_times_are_those_of_the_library() {
+fn numbers_and_times_are_read_as_by_library() {
     for value in [
         "0",
         "-0",
@@ -148,7 +148,7 @@ fn row() -> impl Strategy<Value = String> {
 
 proptest! {
     #[test]
-    fn no_text_is_read_otherwise_than_by_the_library(
+    fn every_text_is_read_as_by_library(
         rows in prop::collection::vec(row(), 8..30),
         block in any::<bool>(),
         cut in 0usize..400,
