@@ -121,6 +121,10 @@ pub(super) struct OperatorArgs {
     roles: Vec<Role>,
 }
 
+fn named(robot: Option<&RobotId>, operator: Option<&str>) -> Option<Name> {
+    robot.cloned().map(Name::Robot).or_else(|| operator.map(|name| Name::Operator(name.to_owned())))
+}
+
 #[derive(Debug, clap::Args)]
 pub(super) struct NamedArgs {
     #[command(flatten)]
@@ -135,8 +139,7 @@ pub(super) struct NamedArgs {
 
 impl NamedArgs {
     fn name(&self) -> Option<Name> {
-        let robot = self.robot.clone().map(Name::Robot);
-        robot.or_else(|| self.operator.clone().map(Name::Operator))
+        named(self.robot.as_ref(), self.operator.as_deref())
     }
 }
 
@@ -146,7 +149,17 @@ impl NamedArgs {
   downbeat keys revoke --operator anna --fleet fleet.yaml")]
 pub(super) struct RevokeArgs {
     #[command(flatten)]
-    named: NamedArgs,
+    folder: FolderArgs,
+    /// The robot's id.
+    #[arg(required_unless_present_any = ["operator", "serial"], value_name = "ROBOT")]
+    robot: Option<RobotId>,
+    /// The operator's name, instead of a robot.
+    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = operator_name)]
+    operator: Option<String>,
+    /// Revoke only the certificate whose serial number begins with these digits, as in `downbeat keys list`, and the passes with the
+    /// same number.
+    #[arg(long, value_name = "DIGITS", conflicts_with_all = ["robot", "operator"])]
+    serial: Option<String>,
     /// Then send the list of revoked keys to the robots of this fleet, as `downbeat keys push` does.
     #[arg(long, value_name = "FILE")]
     fleet: Option<PathBuf>,
@@ -284,13 +297,18 @@ fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, form
 }
 
 fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
-    let RevokeArgs { named, fleet, project } = args;
+    let RevokeArgs { folder, robot, operator, serial, fleet, project } = args;
     // The fleet is read first: an error in its file prevents the whole command.
     let fleet = match fleet.as_deref().map(|path| push::fleet(path, project, format)).transpose() {
         Ok(fleet) => fleet,
         Err(exit) => return Ok(exit),
     };
-    let Some(name) = named.name() else { return Ok(Exit::Done) };
+    let authority = Authority::open(&folder.keys)?;
+    let certificate = serial.as_deref().map(|serial| authority.with_serial(serial)).transpose()?;
+    let named = || named(robot.as_ref(), operator.as_deref());
+    let Some(name) = certificate.as_ref().map(|(name, _)| name.clone()).or_else(named) else {
+        return Ok(Exit::Done);
+    };
     if fleet.as_ref().is_some_and(|fleet| push::is_sent_by(fleet, &name)) {
         console::error(&format!(
             "{} would send the list to the robots itself, and they would refuse it; set DOWNBEAT_IDENTITY to the identity file of another operator",
@@ -298,8 +316,11 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
         ));
         return Ok(Exit::Usage);
     }
-    let authority = Authority::open(&named.folder.keys)?;
-    let revoked = match authority.revoke(&name, calendar()) {
+    let revoked = match &certificate {
+        Some((_, certificate)) => authority.revoke_certificate(&name, certificate, calendar()).map(|()| 1),
+        None => authority.revoke(&name, calendar()),
+    };
+    let revoked = match revoked {
         // The list may not have reached all robots.
         Err(KeysError::RevokedAlready(_)) if fleet.is_some() => 0,
         revoked => revoked?,
@@ -317,7 +338,7 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
             ));
         }
     }
-    let sent = fleet.map(|fleet| push::send(&fleet, &named.folder, PushArgs::PATIENCE)).transpose();
+    let sent = fleet.map(|fleet| push::send(&fleet, folder, PushArgs::PATIENCE)).transpose();
     if format == Format::Json {
         let robots = sent.as_ref().ok().and_then(Option::as_ref);
         let mut json = serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials });
@@ -347,18 +368,45 @@ fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
             console::print_json(&serde_json::json!({ "certificates": issued.entries(), "secrets": secrets }));
         }
         Format::Text => {
-            let mut rows = Rows::new(&["name", "of a", "roles", "state"], 4);
+            let mut rows = Rows::new(&["name", "of a", "serial", "issued", "roles", "state"], 6);
             for entry in issued.entries() {
                 let kind = if entry.kind == Kind::Robot { "robot" } else { "operator" };
-                rows.add([&entry.name, kind, &entry.roles.join(", "), &state(entry)]);
+                let serial = distinct(entry, issued.entries());
+                rows.add([
+                    &entry.name,
+                    kind,
+                    serial,
+                    &day(entry.issued),
+                    &entry.roles.join(", "),
+                    &state(entry),
+                ]);
             }
             for robot in &secrets {
-                rows.add([robot.as_str(), "robot", "", "has a secret"]);
+                rows.add([robot.as_str(), "robot", "", "", "", "has a secret"]);
             }
             console::print(&rows.text(console::columns()));
         }
     }
     Ok(())
+}
+
+/// Minimum number of characters of a serial number that are listed.
+const SERIAL_SHOWN: usize = "00:00:00:00".len();
+
+/// Returns the beginning of a serial number that no other certificate has.
+fn distinct<'a>(entry: &'a Entry, all: &[Entry]) -> &'a str {
+    let alike = |other: &Entry| {
+        let pairs = entry.serial.bytes().zip(other.serial.bytes());
+        pairs.take_while(|(a, b)| a == b).count() + 1
+    };
+    let others = all.iter().filter(|other| other.serial != entry.serial);
+    let shown = others.map(alike).max().unwrap_or(0).max(SERIAL_SHOWN);
+    entry.serial.get(..shown).unwrap_or(&entry.serial)
+}
+
+/// Returns the day of a time in seconds since 1970, in UTC.
+fn day(seconds: i64) -> String {
+    chrono::DateTime::from_timestamp(seconds, 0).map(|at| at.format("%F").to_string()).unwrap_or_default()
 }
 
 fn state(entry: &Entry) -> String {

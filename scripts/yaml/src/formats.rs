@@ -196,6 +196,21 @@ pub fn importing(name: &str) -> Option<String> {
     ))
 }
 
+/// Whether a file contains a private key (PEM), the secret of a robot, or passes.
+#[must_use]
+pub fn is_secret(bytes: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(bytes);
+    let mut lines = text.lines().map(str::trim_end);
+    let is_private_key = |line: &str| line.starts_with("-----BEGIN ") && line.ends_with("PRIVATE KEY-----");
+    let has_passes = text.starts_with("# Passes for robots with a secret,");
+    if has_passes || lines.any(is_private_key) {
+        return true;
+    }
+    let mut content = text.lines().map(str::trim).filter(|line| !line.starts_with('#') && !line.is_empty());
+    let is_digits = |line: &str| line.len() == 64 && line.bytes().all(|byte| byte.is_ascii_hexdigit());
+    content.next().is_some_and(is_digits) && content.next().is_none()
+}
+
 /// Returns the kind of a binary file for a message, such as `a MIDI file`; `None` if its first bytes identify no kind.
 pub fn binary(bytes: &[u8]) -> Option<&'static str> {
     const KNOWN: [(&[u8], &str); 9] = [

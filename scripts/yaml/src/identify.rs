@@ -102,10 +102,17 @@ fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) 
     Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
-/// Returns the reason why a document cannot be included, and a hint, if it is a scenario, a fleet, a robot or a world. `None` if it can
-/// be included.
+/// Returns the reason why a document cannot be included, and a hint, if it is plain text, a scenario, a fleet, a robot or a world. `None`
+/// if it can be included.
 pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
-    let Node::Map(entries) = document else { return None };
+    let entries = match document {
+        Node::Map(entries) => entries,
+        // A finding in the file itself would quote the text, which may not be meant for the reader of the finding.
+        Node::Text(_) => {
+            return Some(("this file is text, not a map".to_owned(), "include a YAML file with shared keys"));
+        }
+        _ => return None,
+    };
     let found = Document::of(entries)?;
     let hint = match found {
         Document::Scenario => {

@@ -128,6 +128,11 @@ pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
     if bytes.len() as u64 > FILE_BYTES_MAX {
         return Err(too_large(bytes.len() as u64));
     }
+    // A finding would quote the content, and its reader may publish the finding.
+    if formats::is_secret(&bytes) {
+        let message = "this file contains a private key, a secret or passes, so it is not read".to_owned();
+        return Err(unreadable(path, message, Some("check the path".to_owned())));
+    }
     Ok(bytes)
 }
 
@@ -156,5 +161,35 @@ mod tests {
         let path = folder.path().join("show.yaml");
         std::fs::write(&path, "\u{feff}scenario: show\n").unwrap();
         assert_eq!(Source::read(&path).unwrap().text, "scenario: show\n");
+    }
+
+    #[test]
+    fn files_with_secrets_are_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read_bytes(&path)
+        };
+        let digits = "0123456789abcdef".repeat(4);
+        for secret in [
+            "-----BEGIN PRIVATE KEY-----\nMIGH\n-----END PRIVATE KEY-----\n".to_owned(),
+            "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n-----BEGIN EC PRIVATE KEY-----\nMIGH\n".to_owned(),
+            "-----BEGIN OPENSSH PRIVATE KEY-----\r\nb3Bl\r\n".to_owned(),
+            format!("# The secret of robot r0. Copy it only to this robot.\n{digits}\n"),
+            digits.to_uppercase(),
+            "# Passes for robots with a secret, written by `downbeat keys`: robot, claim, pass.\nr0 ab cd\n".to_owned(),
+        ] {
+            let finding = read(&secret).unwrap_err();
+            assert!(finding.message.contains("so it is not read"), "{secret}: {finding:?}");
+            assert!(!format!("{finding:?}").contains(&secret[secret.len() - 10..secret.len() - 1]));
+        }
+        for other in [
+            "doc: about -----BEGIN CERTIFICATE-----\n".to_owned(),
+            format!("id: {digits}\n"),
+            digits[1..].to_owned(),
+        ] {
+            assert!(read(&other).is_ok(), "{other}");
+        }
     }
 }

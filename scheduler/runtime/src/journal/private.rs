@@ -1,4 +1,4 @@
-//! Opens folders and files of the state folder, which must belong to the user of this process. If something else has their name, such as
+//! Opens private folders and files: those of the state folder, and those of an authority's keys. They must belong to the user of this process. If something else has their name, such as
 //! another user's folder, a link or a pipe, this module returns an error that names it. This module never opens, follows or waits for
 //! such an object.
 
@@ -31,11 +31,11 @@ pub struct NotPrivate {
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum Fault {
-    #[error("belongs to user {owner}, but this process runs as user {}: run this command as the owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
+    #[error("belongs to user {owner}, but this process runs as user {}: run this command as the owner, or use a folder of your own", geteuid().as_raw())]
     Owner { owner: u32 },
     #[error("is writable by other users (mode {:04o}), so they may have changed it: check its contents, then restrict access with `chmod -R go= {path}`", mode & 0o7777)]
     Writable { mode: u32, path: String },
-    #[error("is a symbolic link, which is not followed: remove it, or set DOWNBEAT_STATE to its target")]
+    #[error("is a symbolic link, which is not followed: remove it, or use its target")]
     Link,
     #[error("has several hard links: move it away, then copy it back with `cp`")]
     Linked,

@@ -3,7 +3,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use downbeat_robot::tls::Name;
@@ -11,6 +11,7 @@ use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_perc
 use urrcp::RobotId;
 
 use super::KeysError;
+use crate::journal::private;
 
 /// The characters that are percent-encoded in file names: all except letters, digits, `-` and `_`. The full stop is encoded, so no file
 /// name is `..` or hidden.
@@ -20,12 +21,23 @@ const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
 const BYTES_MAX: u64 = 32 * 1024 * 1024;
 
 fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
-    |error| KeysError::File { path: path.into(), error }
+    |error| match private::NotPrivate::of(&error) {
+        Some(fault) => KeysError::NotPrivate(fault.clone()),
+        None => KeysError::File { path: path.into(), error },
+    }
 }
 
-/// Creates a folder to which only its owner has access, if it does not exist.
+/// Creates a folder to which only its owner has access, if it does not exist. Git ignores its contents.
+///
+/// # Errors
+/// Fails if the path is a link, or if the folder belongs to another user or is writable by other users.
 pub(super) fn make_private_folder(path: &Path) -> Result<(), KeysError> {
-    fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(at(path))
+    private::create_folder(path).map_err(at(path))?;
+    let ignored = path.join(".gitignore");
+    if fs::symlink_metadata(&ignored).is_err() {
+        write_public(&ignored, "# Keys must not be published.\n*\n")?;
+    }
+    Ok(())
 }
 
 /// Locks a folder against other processes until the file is closed.
@@ -85,8 +97,11 @@ pub(super) fn read(path: &Path) -> Result<String, KeysError> {
     text.map_err(at(path))
 }
 
-/// Returns an error if other users may read or write this key file.
-pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
+/// Returns an error if other users may have changed this key file, or may read it: it must be a regular file that belongs to the user of
+/// this process, in a folder that only this user can write to.
+pub(super) fn check_private(folder: &Path, name: &str) -> Result<(), KeysError> {
+    let path = &folder.join(name);
+    private::file(folder, name, private::How::Read).map_err(at(path))?;
     let mode = fs::metadata(path).map_err(at(path))?.permissions().mode() & 0o777;
     if mode & 0o077 == 0 {
         return Ok(());

@@ -48,6 +48,15 @@ impl Entry {
         self.roles.iter().filter_map(|role| role.parse::<Role>().ok()).collect()
     }
 
+    /// Returns the robot or operator to whom the certificate was issued. `None` if the record contains an invalid id.
+    #[must_use]
+    pub fn owner(&self) -> Option<Name> {
+        match self.kind {
+            Kind::Robot => self.name.parse().ok().map(Name::Robot),
+            Kind::Operator => Some(Name::Operator(self.name.clone())),
+        }
+    }
+
     fn is_of(&self, name: &Name) -> bool {
         match name {
             Name::Robot(id) => self.kind == Kind::Robot && self.name == id.as_str(),
@@ -120,6 +129,13 @@ impl Issued {
     pub(super) fn revoke(&mut self, name: &Name, now: i64) -> usize {
         let counts = self.entries.iter_mut().filter(|entry| entry.is_of(name) && entry.revoked.is_none());
         counts.map(|entry| entry.revoked = Some(now)).count()
+    }
+
+    /// Revokes one certificate. Returns false if it is unknown or already revoked.
+    pub(super) fn revoke_serial(&mut self, serial: &str, now: i64) -> bool {
+        let mut entries = self.entries.iter_mut();
+        let found = entries.find(|entry| entry.serial == serial && entry.revoked.is_none());
+        found.map(|entry| entry.revoked = Some(now)).is_some()
     }
 
     /// Returns the latest certificate of each operator, unless it is revoked.

@@ -30,6 +30,7 @@ use rcgen::{
 use time::OffsetDateTime;
 use urrcp::RobotId;
 
+use crate::journal::private::NotPrivate;
 pub use issued::{Entry, Issued, Kind};
 pub use secrets::IfThere;
 
@@ -59,6 +60,9 @@ pub enum KeysError {
         /// The operating system's error.
         error: io::Error,
     },
+    /// Other users may have changed the folder or a file in it.
+    #[error(transparent)]
+    NotPrivate(NotPrivate),
     /// The folder already contains a certificate authority.
     #[error("{} already contains an authority, and robots that trust it would not accept a second one; use it, or set another folder with --keys", .0.display())]
     Exists(PathBuf),
@@ -93,6 +97,12 @@ pub enum KeysError {
     /// All certificates of this name are already revoked.
     #[error("every certificate of {0} is already revoked")]
     RevokedAlready(Name),
+    /// No certificate has this serial number.
+    #[error("no certificate has the serial number `{0}`; list the serial numbers with `downbeat keys list`")]
+    NoSerial(String),
+    /// Several certificates have a serial number that begins in this way.
+    #[error("several certificates have a serial number that begins with `{0}`; specify more digits")]
+    AmbiguousSerial(String),
     /// The certificate could not be signed.
     #[error("cannot create a certificate: {0}")]
     Signing(#[from] rcgen::Error),
@@ -163,7 +173,7 @@ impl Authority {
         if !folder.join(AUTHORITY_KEY).exists() {
             return Err(KeysError::NoAuthority(folder.into()));
         }
-        files::check_private(&folder.join(AUTHORITY_KEY))?;
+        files::check_private(folder, AUTHORITY_KEY)?;
         Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
     }
 
@@ -225,12 +235,45 @@ impl Authority {
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
         }
+        self.write_revocation(&issued, now)?;
+        Ok(revoked)
+    }
+
+    /// Returns the certificate whose serial number begins with these digits, and its owner.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`] if no certificate or several have such a serial number.
+    pub fn with_serial(&self, serial: &str) -> Result<(Name, Entry), KeysError> {
+        let issued = self.issued()?;
+        let digits = serial.to_ascii_lowercase();
+        let found = issued.entries().iter().filter(|entry| entry.serial.starts_with(&digits));
+        let mut found = found.filter_map(|entry| Some((entry.owner()?, entry.clone())));
+        match (found.next(), found.next()) {
+            (Some(found), None) => Ok(found),
+            (None, _) => Err(KeysError::NoSerial(serial.to_owned())),
+            (Some(_), Some(_)) => Err(KeysError::AmbiguousSerial(serial.to_owned())),
+        }
+    }
+
+    /// Revokes one certificate, and for an operator the passes with the same number. Writes the lists of revoked keys.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`], also if the certificate is already revoked.
+    pub fn revoke_certificate(&self, owner: &Name, certificate: &Entry, now: i64) -> Result<(), KeysError> {
+        let mut issued = self.issued()?;
+        if !issued.revoke_serial(&certificate.serial, now) {
+            return Err(KeysError::RevokedAlready(owner.clone()));
+        }
+        self.write_revocation(&issued, now)
+    }
+
+    /// Writes the record of a revocation, and what follows from it.
+    fn write_revocation(&self, issued: &Issued, now: i64) -> Result<(), KeysError> {
         // The list that robots read is written first. If the record were first, a failure could leave a revocation that robots do not
         // know.
-        self.write_revoked(&issued, now)?;
+        self.write_revoked(issued, now)?;
         issued.write(&self.folder)?;
-        self.write_passes(&issued)?;
-        Ok(revoked)
+        self.write_passes(issued)
     }
 
     /// Returns the path of the list of revoked certificates.

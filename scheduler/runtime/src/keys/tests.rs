@@ -151,6 +151,55 @@ fn revoked_keys_are_refused_on_next_connection_and_renewed_ones_accepted() {
 }
 
 #[test]
+fn one_certificate_of_an_operator_can_be_revoked() {
+    let site = Site::new();
+    let (cf1, old) = (site.of(&robot("cf1"), &[]), site.of(&operator(), &Role::ALL));
+    let new = Credentials::read(&site.authority.renew(&operator(), calendar(), 10).unwrap()).unwrap();
+    let (serial, revoked) = (old.identity().serial.clone(), site.revoked());
+    let (name, certificate) = site.authority.with_serial(&serial[..11].to_uppercase()).unwrap();
+    assert_eq!((&name, &certificate.serial), (&operator(), &serial));
+    site.authority.revoke_certificate(&name, &certificate, calendar()).unwrap();
+    assert!(meet(&cf1, &old, Some(&revoked)).0.unwrap_err().contains("evoked"));
+    assert!(meet(&cf1, &new, Some(&revoked)).0.is_ok());
+    let again = site.authority.revoke_certificate(&name, &certificate, calendar());
+    assert!(matches!(again, Err(KeysError::RevokedAlready(owner)) if owner == name));
+    assert!(matches!(site.authority.with_serial("xx"), Err(KeysError::NoSerial(_))));
+    assert!(matches!(site.authority.with_serial(""), Err(KeysError::AmbiguousSerial(_))));
+}
+
+#[test]
+fn folder_that_others_could_change_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let keys = folder.path().join("keys");
+    let refused = |keys: &Path| match Authority::create(keys, calendar()) {
+        Err(KeysError::NotPrivate(fault)) => fault.to_string(),
+        other => panic!("{other:?}"),
+    };
+    std::fs::create_dir(&keys).unwrap();
+    std::fs::set_permissions(&keys, std::fs::Permissions::from_mode(0o777)).unwrap();
+    assert!(refused(&keys).contains("is writable by other users"));
+    std::fs::set_permissions(&keys, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let link = folder.path().join("link");
+    std::os::unix::fs::symlink(&keys, &link).unwrap();
+    assert!(refused(&link).contains("is a symbolic link"));
+    assert_eq!(std::fs::read_dir(&keys).unwrap().count(), 0, "nothing was written");
+    drop(Authority::create(&keys, calendar()).unwrap());
+    assert_eq!(std::fs::metadata(&keys).unwrap().permissions().mode() & 0o777, 0o700);
+    assert_eq!(
+        std::fs::read_to_string(keys.join(".gitignore")).unwrap(),
+        "# Keys must not be published.\n*\n"
+    );
+    let key = keys.join("authority.key");
+    std::fs::rename(&key, keys.join("moved")).unwrap();
+    std::os::unix::fs::symlink("moved", &key).unwrap();
+    assert!(matches!(Authority::open(&keys), Err(KeysError::NotPrivate(_))));
+    std::fs::remove_file(&key).unwrap();
+    std::fs::rename(keys.join("moved"), &key).unwrap();
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o640)).unwrap();
+    assert!(Authority::open(&keys).unwrap_err().to_string().contains("other users can read this key"));
+}
+
+#[test]
 fn robot_key_cannot_act_as_operator_nor_operator_key_as_robot() {
     let site = Site::new();
     let (cf1, cf2) = (site.of(&robot("cf1"), &[]), site.of(&robot("cf2"), &[]));

@@ -17,7 +17,10 @@ use super::text::FlatStroke;
 const BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Maximum number of points in all polylines of a drawing.
 const POINTS_MAX: usize = 200_000;
-/// Largest number in a path's data. With larger numbers, the library would cut a circular arc into more pieces than it can process in a
+/// The attributes that determine the course of paths and shapes.
+const SHAPES: [&str; 15] =
+    ["d", "points", "r", "rx", "ry", "cx", "cy", "x", "y", "x1", "y1", "x2", "y2", "width", "height"];
+/// Largest number in the data of a path or shape. With larger numbers, the library would cut a circular arc into more pieces than it can process in a
 /// day.
 const NUMBER_MAX: f64 = 1e9;
 /// Number of lines that approximate a curve; the error is below a thousandth of the curve's length.
@@ -71,10 +74,13 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     let parsing = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
     let text = cost::without_effects(text);
     let document = Document::parse_with_options(&text, parsing).map_err(|error| unfit(error.into()))?;
-    let paths = document.descendants().filter_map(|node| node.attribute("d"));
-    if let Some(number) = paths.flat_map(numbers).find(|number| number.abs() > NUMBER_MAX) {
-        let message = format!("a path of the drawing contains a number that is too large: {number:e}");
-        return Err(Unfit { message, expected: "numbers of at most one billion in paths" });
+    let shapes = document.descendants().flat_map(|node| node.attributes());
+    let shapes = shapes.filter(|attribute| SHAPES.contains(&attribute.name()));
+    let mut in_shapes = shapes.flat_map(|attribute| numbers(attribute.value()));
+    if let Some(number) = in_shapes.find(|number| number.abs() > NUMBER_MAX) {
+        let message =
+            format!("a path or shape of the drawing contains a number that is too large: {number:e}");
+        return Err(Unfit { message, expected: "numbers of at most one billion in paths and shapes" });
     }
     if let Some(unfit) = cost::excess(&document) {
         return Err(unfit);

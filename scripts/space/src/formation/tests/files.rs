@@ -75,10 +75,21 @@ fn drawing_with_a_huge_arc_is_refused_quickly() {
     {
         let told = crate::formation::svg::read(path(data).as_bytes()).unwrap_err();
         assert!(
-            told.message.starts_with("a path of the drawing contains a number that is too large"),
+            told.message.starts_with("a path or shape of the drawing contains a number that is too large"),
             "{data}: {}",
             told.message
         );
+    }
+    let far = "4".repeat(38);
+    for shape in [
+        format!("<circle cx='5' cy='2' r='{far}'/>"),
+        format!("<ellipse rx='3' ry='1{far}'/>"),
+        format!("<rect width='9' height='9{far}' rx='1'/>"),
+        format!("<polygon points='0,0 1,{far} 2,2'/>"),
+    ] {
+        let drawing = format!("<svg xmlns='http://www.w3.org/2000/svg'>{shape}</svg>");
+        let told = crate::formation::svg::read(drawing.as_bytes()).unwrap_err();
+        assert!(told.message.contains("contains a number that is too large"), "{shape}: {}", told.message);
     }
     let entity = "<!DOCTYPE svg [<!ENTITY far '1e40'>]><svg xmlns='http://www.w3.org/2000/svg'><path d='M0 0 A2 2 0 1 0 &far; 5' stroke='red'/></svg>";
     assert!(crate::formation::svg::read(entity.as_bytes()).is_err());
