@@ -14,6 +14,9 @@ use super::secret::{Pass, Secret};
 use super::stream::{Sealed, accept};
 use downbeat_key_file::KeyFileError;
 
+/// Time in seconds by which the clock of a robot may be behind that of the authority when a secret is made.
+const CLOCKS_DIFFER: i64 = 300;
+
 /// Checks the peers of a robot by means of the robot's secret. Admits operators with a valid pass for this robot.
 #[derive(Debug)]
 pub struct Guard {
@@ -63,6 +66,9 @@ impl Guard {
     fn judge(&self, hello: &Hello, now: i64) -> Result<Pass, Refused> {
         if hello.robot != self.robot {
             return Err(Refused::OtherRobot(self.robot.clone()));
+        }
+        if now < self.secret.made().saturating_sub(CLOCKS_DIFFER) {
+            return Err(Refused::Clock);
         }
         if hello.claim.expires < now {
             return Err(Refused::Expired);

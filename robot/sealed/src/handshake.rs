@@ -32,6 +32,8 @@ pub fn fresh_nonce() -> std::io::Result<Nonce> {
 /// Reason why a robot refuses a claim.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refused {
+    /// The robot's clock is not set, so the robot cannot detect that a claim has expired.
+    Clock,
     /// The claim has expired.
     Expired,
     /// The claim was revoked.
@@ -47,6 +49,7 @@ impl Refused {
     #[must_use]
     pub fn line(&self) -> String {
         let why = match self {
+            Self::Clock => "clock".to_owned(),
             Self::Expired => "expired".to_owned(),
             Self::Revoked => "revoked".to_owned(),
             Self::OtherRobot(own) => format!("robot {}", encoded(own.as_str())),
@@ -57,6 +60,7 @@ impl Refused {
 
     fn parse(why: &str) -> Option<Self> {
         match why.split_once(' ') {
+            None if why == "clock" => Some(Self::Clock),
             None if why == "expired" => Some(Self::Expired),
             None if why == "revoked" => Some(Self::Revoked),
             None if why == "claim" => Some(Self::Unreadable),
@@ -87,6 +91,7 @@ pub enum NotSealed {
 
 fn sentence(refused: &Refused) -> String {
     match refused {
+        Refused::Clock => "the robot's clock is not set: it shows a time before its secret was made; wait until NTP has set it".to_owned(),
         Refused::Expired => "your pass has expired: make a new one with `downbeat keys renew`".to_owned(),
         Refused::Revoked => "your pass has been revoked".to_owned(),
         Refused::OtherRobot(own) => format!("it is robot {own}, but your pass is for a different robot"),

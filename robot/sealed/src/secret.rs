@@ -18,6 +18,8 @@ const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
 
 /// Text that precedes a list of revoked passes when its code is computed.
 const OF_A_LIST: &[u8] = b"urrcp revoked 1\n";
+/// Text before the time at which a secret was made.
+const MADE: &str = "# made ";
 /// Text before the code in the last line of a list of revoked passes.
 const CODE: &str = "# code ";
 
@@ -51,7 +53,11 @@ pub enum SecretError {
 
 /// A secret that only a robot and its authority (the issuer of passes) know.
 #[derive(Clone)]
-pub struct Secret([u8; BYTES]);
+pub struct Secret {
+    bytes: [u8; BYTES],
+    /// When the secret was made, in seconds since 1970, UTC. 0 if unknown.
+    made: i64,
+}
 
 impl Secret {
     /// Generates a new secret.
@@ -61,13 +67,26 @@ impl Secret {
     pub fn generate() -> Result<Self, SecretError> {
         let mut bytes = [0; BYTES];
         getrandom::fill(&mut bytes)?;
-        Ok(Self(bytes))
+        Ok(Self::of_bytes(bytes))
+    }
+
+    /// Returns the secret with the time at which it was made, in seconds since 1970, UTC. A robot whose clock shows an earlier time admits
+    /// nobody, because it could not detect that a pass has expired.
+    #[must_use]
+    pub const fn made_at(self, made: i64) -> Self {
+        Self { made, ..self }
+    }
+
+    /// Returns when the secret was made, in seconds since 1970, UTC. 0 if unknown.
+    #[must_use]
+    pub const fn made(&self) -> i64 {
+        self.made
     }
 
     /// Creates a secret from known bytes.
     #[must_use]
     pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
-        Self(bytes)
+        Self { bytes, made: 0 }
     }
 
     /// Reads a secret from its file.
@@ -79,20 +98,28 @@ impl Secret {
         let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
         let mut lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
         let secret = lines.next().and_then(hex::bytes).ok_or_else(none)?;
-        if lines.next().is_none() { Ok(Self(secret)) } else { Err(none()) }
+        let made = text.lines().find_map(|line| line.strip_prefix(MADE)?.parse().ok());
+        if lines.next().is_some() {
+            return Err(none());
+        }
+        Ok(Self::of_bytes(secret).made_at(made.unwrap_or_default()))
     }
 
     /// Returns the content of a file that contains this secret.
     #[must_use]
     pub fn text(&self, robot: &RobotId) -> String {
         let robot = super::claim::encoded(robot.as_str());
-        format!("# The secret of robot {robot}. Copy it only to this robot.\n{}\n", hex::hex(&self.0))
+        let made = if self.made == 0 { String::new() } else { format!("{MADE}{}\n", self.made) };
+        format!(
+            "# The secret of robot {robot}. Copy it only to this robot.\n{made}{}\n",
+            hex::hex(&self.bytes)
+        )
     }
 
     /// Returns a list of revoked passes with a last line that proves to the robot with this secret that the authority made the list.
     #[must_use]
     pub fn proven_list(&self, list: &str) -> String {
-        let proof = code(&self.0, &[OF_A_LIST, list.as_bytes()]).finalize().into_bytes();
+        let proof = code(&self.bytes, &[OF_A_LIST, list.as_bytes()]).finalize().into_bytes();
         format!("{list}{CODE}{}\n", hex::hex(&proof))
     }
 
@@ -100,14 +127,14 @@ impl Secret {
     pub(super) fn list<'a>(&self, proven: &'a str) -> Option<&'a str> {
         let (list, proof) = proven.strip_suffix('\n')?.rsplit_once(CODE)?;
         let proof = hex::bytes::<BYTES>(proof)?;
-        code(&self.0, &[OF_A_LIST, list.as_bytes()]).verify(&proof.into()).is_ok().then_some(list)
+        code(&self.bytes, &[OF_A_LIST, list.as_bytes()]).verify(&proof.into()).is_ok().then_some(list)
     }
 
     /// Returns the pass with which an operator proves this claim to the robot that has this secret.
     #[must_use]
     pub fn pass(&self, claim: &Claim) -> Pass {
         let claim = claim.to_string();
-        Pass(code(&self.0, &[OF_A_PASS, claim.as_bytes()]).finalize().into_bytes().into())
+        Pass(code(&self.bytes, &[OF_A_PASS, claim.as_bytes()]).finalize().into_bytes().into())
     }
 }
 

@@ -359,6 +359,20 @@ fn secret_round_trips_and_other_content_is_refused() {
 }
 
 #[test]
+fn robot_whose_clock_is_not_set_admits_nobody() {
+    let made = 1_800_000_000;
+    let text = Secret::of_bytes([0xa5; 32]).made_at(made).text(&"cf 1".parse().unwrap());
+    assert!(text.contains("\n# made 1800000000\n"), "{text}");
+    let secret = Secret::read(&Kept::new("made", &text).0).unwrap();
+    assert_eq!(secret.made(), made);
+    let hello = Hello { nonce: [7; 16], robot: "cf 1/ö".parse().unwrap(), claim: claim(&[Role::Stop]) };
+    let guard = guard(&secret);
+    assert!(matches!(guard.judge(&hello, 0), Err(Refused::Clock)));
+    assert!(matches!(guard.judge(&hello, made - 301), Err(Refused::Clock)));
+    assert!(guard.judge(&hello, made - 300).is_ok());
+}
+
+#[test]
 fn debug_output_hides_the_keys() {
     let secret = Secret::generate().unwrap();
     let pass = secret.pass(&claim(&[]));
@@ -372,7 +386,9 @@ fn refusal_round_trips() {
     let anna = held(&secret, "cf1", claim(&[Role::Drive]));
     let hello = Hello { nonce: [7; 16], robot: anna.robot.clone(), claim: anna.claim.clone() };
     let own = "cf 1/ö".parse().unwrap();
-    for refused in [Refused::Expired, Refused::Revoked, Refused::OtherRobot(own), Refused::Unreadable] {
+    for refused in
+        [Refused::Clock, Refused::Expired, Refused::Revoked, Refused::OtherRobot(own), Refused::Unreadable]
+    {
         let line = refused.line();
         assert_eq!(hello.check_answer(&anna.pass, &line), Err(NotSealed::Refused(refused)), "{line}");
     }

@@ -12,6 +12,7 @@ static const char VERSION[] = "URRCP-HMAC 1 ";
 static const char *const ROLES[] = {"observe", "drive", "stop", "seize"};
 
 #define HEX (2 * SHA256_BYTES)
+#define CLOCKS_DIFFER 300 /* seconds by which this clock may be behind that of the authority */
 
 static int digit(char c)
 {
@@ -60,6 +61,8 @@ bool sealed_read_secret(struct sealed_key *key, const char *path)
     }
     while (fgets(line, sizeof line, file)) {
         size_t length = strcspn(line, "\r\n");
+        if (!strncmp(line, "# made ", 7))
+            key->made = strtoll(line + 7, NULL, 10);
         if (!length || line[0] == '#')
             continue;
         good = good && !found && length == HEX && bytes_of(line, SHA256_BYTES, key->secret);
@@ -193,6 +196,8 @@ static bool hello(const struct sealed_key *key, struct sealed *s, size_t length,
     expires = strtoll(word[5], &end, 10);
     if (end != word[6] - 1)
         return refuse(answer, "claim", "");
+    if (now < key->made - CLOCKS_DIFFER)
+        return refuse(answer, "clock", "");
     if (expires < now)
         return refuse(answer, "expired", "");
     if (is_revoked(key->revoked, word[6], (size_t)(line + length - word[6])))

@@ -20,6 +20,7 @@ enum { ROLE_OBSERVE = 1, ROLE_DRIVE = 2, ROLE_STOP = 4, ROLE_SEIZE = 8 };
 /* The robot's secret and its settings. */
 struct sealed_key {
     unsigned char secret[SHA256_BYTES];
+    int64_t made;        /* when it was made, in seconds since 1970; 0 if unknown */
     const char *robot;   /* its id */
     size_t robot_length;
     const char *revoked; /* a file with the serials of revoked passes, or NULL */

@@ -112,17 +112,24 @@ static void handshake(void)
     static struct sealed s, before;
     static unsigned char record[2 * SEALED_RECORD], carried[SEALED_RECORD];
     static char answer[SEALED_LINE + 1], opened[SEALED_RECORD];
-    struct sealed_key key = {{0}, NULL, 0, NULL};
+    struct sealed_key key = {{0}, 0, NULL, 0, NULL};
     const char *hello;
-    size_t length;
+    size_t length, hello_length;
     int item, list, i;
     bool refused;
     bytes(0, "secret", key.secret);
     key.robot = text(0, "robot", &key.robot_length);
-    hello = text(0, "hello", &length);
-    check(greet(&key, &s, hello, length, answer), "the first line is understood");
+    hello = text(0, "hello", &hello_length);
+    check(greet(&key, &s, hello, hello_length, answer), "the first line is understood");
     check(!strcmp(answer, text(0, "answer", &length)), "the robot's answer");
     check(s.roles == (ROLE_OBSERVE | ROLE_DRIVE) && s.name_length == 7 && !memcmp(s.name, "anna \xc3\xb6", 7), "who it is");
+    key.robot = text(0, "robot", &key.robot_length); /* `text` has four buffers */
+    hello = text(0, "hello", &hello_length);
+    key.made = 2000000301;
+    refused = !greet(&key, &before, hello, hello_length, answer);
+    check(refused && !strcmp(answer, "URRCP-HMAC 1 refused clock\n"), "a clock that is not set");
+    key.made = 2000000300;
+    check(greet(&key, &before, hello, hello_length, answer), "a clock that is a little behind");
     before = s;
     hear(&s, text(0, "proof", &length), 65);
     check(sealed_greet(&key, &s, 2000000000, NULL, answer) && s.stage == SEALED_OPEN, "the operator's proof");

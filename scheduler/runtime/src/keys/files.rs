@@ -27,17 +27,21 @@ fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
     }
 }
 
-/// Creates a folder to which only its owner has access, if it does not exist. Git ignores its contents.
+/// Creates a folder to which only its owner has access, if it does not exist.
 ///
 /// # Errors
 /// Fails if the path is a link, or if the folder belongs to another user or is writable by other users.
 pub(super) fn make_private_folder(path: &Path) -> Result<(), KeysError> {
-    private::create_folder(path).map_err(at(path))?;
-    let ignored = path.join(".gitignore");
-    if fs::symlink_metadata(&ignored).is_err() {
-        write_public(&ignored, "# Keys must not be published.\n*\n")?;
+    private::create_folder(path).map(drop).map_err(at(path))
+}
+
+/// Makes Git ignore the contents of a folder, unless the folder already states what to ignore.
+pub(super) fn keep_out_of_git(folder: &Path) -> Result<(), KeysError> {
+    let path = folder.join(".gitignore");
+    if fs::symlink_metadata(&path).is_ok() {
+        return Ok(());
     }
-    Ok(())
+    write_public(&path, "# Keys must not be published.\n*\n")
 }
 
 /// Locks a folder against other processes until the file is closed.

@@ -151,6 +151,7 @@ impl Authority {
         if own.path(AUTHORITY_KEY).exists() || own.path(AUTHORITY).exists() {
             return Err(KeysError::Exists(folder.into()));
         }
+        files::keep_out_of_git(folder)?;
         let key = KeyPair::generate()?;
         // The name contains a mark from the key, to distinguish this authority from others.
         let mark: String =

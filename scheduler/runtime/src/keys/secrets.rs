@@ -9,7 +9,7 @@ use downbeat_robot::sealed::{Claim, Held, Passes, Secret};
 use downbeat_robot::tls::Name;
 use urrcp::RobotId;
 
-use super::{Authority, Entry, Issued, KeysError, Kind, files};
+use super::{Authority, Entry, Issued, KeysError, Kind, calendar, files};
 
 /// What to do if a robot already has a secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl Authority {
         let make = |robot: &RobotId| {
             let path = path(robot);
             path.parent().map(files::make_private_folder).transpose()?;
-            files::write_private(&path, &Secret::generate()?.text(robot))?;
+            files::write_private(&path, &Secret::generate()?.made_at(calendar()).text(robot))?;
             Ok(path)
         };
         let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
