@@ -18,7 +18,7 @@ impl Script {
             ScriptState::Planned => {
                 assert!(
                     !self.has_begun() || self.perhaps_sent,
-                    "a script that was not sent has not started: {of}"
+                    "a script must not start before it was sent: {of}"
                 );
             }
             ScriptState::Sent => {

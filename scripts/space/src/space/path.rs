@@ -19,7 +19,7 @@ pub struct Axis {
 
 /// The movement of one device in an act.
 pub struct Played<'a> {
-    /// Scripts of the device, each with its start since the act's start.
+    /// Scripts of the device, each with its start time relative to the start of the act.
     pub scripts: &'a [(Millis, &'a Script)],
     /// Control type of all steps; a step of another type makes the coordinate unknown.
     pub control_type: ControlType,

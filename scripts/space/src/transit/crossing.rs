@@ -97,9 +97,9 @@ pub struct Crossing<'a> {
 /// The distance that two bodies must keep, from middle to middle, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Required {
-    /// The regular distance, including the deviation of both bodies' steps.
+    /// The distance that bodies must keep, plus the distances by which the steps of both bodies may deviate from their paths.
     Apart(f64),
-    /// The distance between the bodies' starts or ends, which is smaller than the regular distance.
+    /// The distance between the bodies' starts or ends, which is smaller than the distance that bodies must keep.
     AsAtEnds(f64),
     /// The ends of two bodies are closer to each other than permitted.
     AtEnd {

@@ -26,7 +26,7 @@ fn earliest(events: usize, bounds: &[Bound]) -> Option<Vec<Nanos>> {
     None
 }
 
-/// Returns the latest times of all events at which no event is after `end`.
+/// Returns, for each event, the latest time that it can have if no event is after `end`.
 fn latest(events: usize, bounds: &[Bound], end: Nanos) -> Vec<Nanos> {
     let mut times = vec![end; events];
     times[0] = 0;
