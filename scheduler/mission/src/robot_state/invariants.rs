@@ -30,7 +30,10 @@ impl RobotState {
             Stop::None | Stop::Confirmed(_) => {}
         }
         if self.introduced {
-            assert!(self.block.is_some(), "{id}: a robot that has introduced itself must have an initialization block");
+            assert!(
+                self.block.is_some(),
+                "{id}: a robot that has introduced itself must have an initialization block"
+            );
         }
         if self.positions_asked.is_some() {
             assert!(self.block.is_some(), "{id}: positions are those of devices that are known");

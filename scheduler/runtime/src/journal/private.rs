@@ -35,7 +35,9 @@ enum Fault {
     Owner { owner: u32 },
     #[error("is writable by other users (mode {:04o}), so they may have changed it: check its contents, then restrict access with `chmod -R go= {path}`", mode & 0o7777)]
     Writable { mode: u32, path: String },
-    #[error("is a symbolic link, which is not followed: remove it, or use its target (set DOWNBEAT_STATE, or --keys for keys)")]
+    #[error(
+        "is a symbolic link, which is not followed: remove it, or use its target (set DOWNBEAT_STATE, or --keys for keys)"
+    )]
     Link,
     #[error("has several hard links: move it away, then copy it back with `cp`")]
     Linked,
