@@ -18,7 +18,7 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "script-start",
-        demands: "If the first value of a script is due after its start, a device with `hold` reports `Started` when that value is due, and a device with `linear` at the start.",
+        demands: "If the first value of a script is due after its start, a device with `hold` reports `Started` when that value is due; with `linear`, at the start.",
         section: "Reports (D)",
         check: script_start,
     },
