@@ -1,5 +1,6 @@
 //! Runs robots in real time. All robots of a host share one precise thread, which wakes them on time.
 
+mod audit;
 mod body;
 mod executor;
 mod hosted;
@@ -18,6 +19,8 @@ use tokio::sync::{Semaphore, oneshot, watch};
 use urrcp::Label;
 use urrcp::{ControlType, Device, InitializationBlock, KnownScripts, LINE_BYTES_MAX, Message, RobotId};
 
+use self::audit::Audit;
+pub use self::audit::numbered as audit_file;
 use self::body::Body;
 use self::executor::{Order, Told, prepared_thread};
 use self::hosted::DriverThread;
@@ -45,6 +48,8 @@ pub struct HostOptions {
     pub realtime: Realtime,
     /// Log file for all values that are set, as one JSON line per value. `None`: no log.
     pub log: Option<PathBuf>,
+    /// File of the audit trail ([`crate::audit`]), which the host continues if it exists. `None`: no trail.
+    pub audit: Option<PathBuf>,
 }
 
 impl HostOptions {
@@ -61,6 +66,13 @@ impl HostOptions {
         self.log = Some(path);
         self
     }
+
+    /// Sets the file of the audit trail.
+    #[must_use]
+    pub fn with_audit(mut self, path: PathBuf) -> Self {
+        self.audit = Some(path);
+        self
+    }
 }
 
 /// An error that prevents the start of a host.
@@ -71,6 +83,14 @@ pub enum HostError {
     #[error("cannot write the log {}: {error}", path.display())]
     Log {
         /// Path of the log file.
+        path: PathBuf,
+        /// The system's error.
+        error: io::Error,
+    },
+    /// The audit trail cannot be written.
+    #[error("cannot write the audit trail {}: {error}", path.display())]
+    Audit {
+        /// Path of the trail's newest file.
         path: PathBuf,
         /// The system's error.
         error: io::Error,
@@ -111,6 +131,7 @@ pub struct Host {
     scheduling: Scheduling,
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
+    auditor: Option<JoinHandle<()>>,
     log_lost: Option<oneshot::Receiver<HostError>>,
     /// Threads of the drivers, each with the index of its robot.
     drivers: Vec<(usize, DriverThread)>,
@@ -127,6 +148,7 @@ pub struct HostHandle {
     figures: Arc<Figures>,
     strangers: Arc<Strangers>,
     newcomers: Arc<Newcomers>,
+    audit: Option<Audit>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
     /// Maximum length of a command in bytes, one entry per robot.
@@ -167,6 +189,8 @@ impl Host {
                 (Some(log), Some(writer))
             }
         };
+        let audit = options.audit.map(|path| audit::start(path, Arc::clone(&ids))).transpose()?;
+        let (audit, auditor) = audit.unzip();
         let (writer, log_lost) = writer.map(|writer| (writer.thread, writer.lost)).unzip();
         // This channel uses a lock: on a lock-free channel, a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
@@ -179,6 +203,7 @@ impl Host {
             refusals: Arc::default(),
             strangers: Arc::default(),
             newcomers: Arc::default(),
+            audit,
             scripts: KnownScripts::default(),
             owners: watched.into(),
             longest: hosted.iter().map(|hosted| longest_command(hosted.block())).collect(),
@@ -188,6 +213,7 @@ impl Host {
             owners,
             refusals: Arc::clone(&handle.refusals),
             figures: Arc::clone(&handle.figures),
+            audit: handle.audit.clone(),
         };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, told, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
@@ -199,7 +225,7 @@ impl Host {
         let mailboxes: Vec<_> = robots.iter().filter_map(Body::mailbox).collect();
         // The thread now only waits for the robots.
         let _always_taken = ready.send(robots);
-        Ok(Self { handle, scheduling, thread: Some(thread), writer, log_lost, drivers, mailboxes })
+        Ok(Self { handle, scheduling, thread: Some(thread), writer, auditor, log_lost, drivers, mailboxes })
     }
 
     /// Waits up to `patience` until every driver has tried to connect once, so that the robots' next responses report the result. Returns
@@ -252,6 +278,10 @@ impl Host {
             if thread.join().is_err() {
                 tracing::error!("a thread of the robots' host panicked");
             }
+        }
+        self.handle.audit.iter().for_each(Audit::end);
+        if self.auditor.take().is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the thread that writes the audit trail panicked");
         }
         let mut not_at_rest = Vec::new();
         for (index, thread) in self.drivers.drain(..) {
@@ -350,6 +380,12 @@ impl HostHandle {
     /// Returns the new connections of all robots of this host.
     pub(crate) const fn newcomers(&self) -> &Arc<Newcomers> {
         &self.newcomers
+    }
+
+    /// Returns the audit trail, if there is one.
+    #[cfg(any(feature = "sealed", feature = "tls"))]
+    pub(crate) const fn audit(&self) -> Option<&Audit> {
+        self.audit.as_ref()
     }
 
     /// Returns the cache of the most recently received scripts. It is useful because several robots of a host often receive the same

@@ -75,6 +75,8 @@
 
 mod answers;
 #[cfg(feature = "host")]
+pub mod audit;
+#[cfg(feature = "host")]
 mod budget;
 pub mod clock;
 mod confirmation;
@@ -127,7 +129,9 @@ pub use downbeat_realtime as realtime;
 pub use downbeat_sealed as sealed;
 pub use hardware::ReadingId;
 #[cfg(feature = "host")]
-pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
+pub use host::{
+    Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink, audit_file,
+};
 pub use ids::LinkId;
 pub use peer::Peer;
 pub use plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};

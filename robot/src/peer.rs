@@ -77,6 +77,12 @@ impl Peer {
         self.proof.as_ref()
     }
 
+    /// Returns where the peer connects from: an address and a port, or the name that a network gives the peer.
+    #[cfg(feature = "host")]
+    pub(crate) fn origin(&self) -> String {
+        Self { proof: None, ..self.clone() }.to_string()
+    }
+
     /// Whether the peer is a part of this process.
     #[must_use]
     pub const fn is_in_process(&self) -> bool {

@@ -180,8 +180,11 @@ where
         Ok((stream, key)) => shared.keys.admit(&shared.door, key.into()).await.map(|proof| (stream, proof)),
         Err(error) => Err(error),
     };
-    let (stream, proof) = proven.inspect_err(|_| {
+    let (stream, proof) = proven.inspect_err(|error| {
         refusals.note(Reason::NotProven, &peer);
+        if let Some(audit) = host.audit() {
+            audit.not_admitted(robot, &peer, &error.to_string());
+        }
     })?;
     let peer = peer.with_proof(proof.clone());
     ticket.establish(&peer);

@@ -12,6 +12,7 @@ use urrcp::Label;
 use urrcp::{ErrorCode, Message, Span, Timestamp};
 
 use super::HostError;
+use super::audit::Audit;
 use super::body::Body;
 use super::log::Log;
 use super::outbox::Outbox;
@@ -106,6 +107,7 @@ pub(super) struct Told {
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
     pub(super) refusals: Arc<Refusals>,
     pub(super) figures: Arc<Figures>,
+    pub(super) audit: Option<Audit>,
 }
 
 /// A change in the number of a robot's connections.
@@ -186,6 +188,9 @@ impl Executor {
                 if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
                     self.clock = HostClock::anchored();
                 }
+                if let Some(audit) = &self.told.audit {
+                    audit.connected(robot, outbox.peer());
+                }
                 self.peers.insert(link, (robot, outbox));
                 self.connected(robot, Change::Opened);
                 self.advance(robot);
@@ -197,6 +202,7 @@ impl Executor {
                     // The link was closed while the input was on its way.
                     return;
                 }
+                self.audit_request(link, &input);
                 let now = self.clock.now();
                 self.robots[robot].receive(now, link, input);
                 self.advance(robot);
@@ -224,15 +230,33 @@ impl Executor {
         let now = self.clock.now();
         // The key may have been used on links that no longer exist.
         let no_link = LinkId(u64::MAX);
+        let reason = why.clone();
         self.robots[robot].receive(now, no_link, Input::Barred { serial: serial.clone(), why });
         self.advance(robot);
         let has_key = |peer: &Peer| peer.proof().and_then(|proof| proof.serial.as_ref()) == Some(serial);
         let links = self.peers.iter().filter(|(_, (of, outbox))| *of == robot && has_key(outbox.peer()));
-        for link in links.map(|(link, _)| *link).collect::<Vec<_>>() {
+        let links: Vec<_> = links.map(|(link, _)| *link).collect();
+        if let Some(audit) = &self.told.audit {
+            let peer = links.first().and_then(|link| self.peers.get(link)).map(|(_, outbox)| outbox.peer());
+            audit.barred(robot, peer, serial.as_str(), &reason);
+        }
+        for link in links {
             if let Some(outbox) = self.forget(link) {
                 self.told.refusals.note(Reason::KeyInvalid, outbox.peer());
                 outbox.close();
             }
+        }
+    }
+
+    /// Notes a request for the audit trail.
+    fn audit_request(&self, link: LinkId, input: &Input) {
+        let Some(audit) = &self.told.audit else { return };
+        let request = match input {
+            Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _) => request,
+            _ => return,
+        };
+        if let Some((robot, outbox)) = self.peers.get(&link) {
+            audit.request(*robot, outbox.peer(), request);
         }
     }
 
@@ -293,6 +317,9 @@ impl Executor {
         let log = self.robots[robot].take_log();
         let (figures, machine) = (&self.told.figures.robots()[robot], self.robots[robot].machine());
         figures.note(machine.counts(), machine.hardware_answers());
+        if let (Some(audit), false) = (&self.told.audit, log.is_empty()) {
+            audit.values(robot, &log);
+        }
         if !log.is_empty() {
             figures.stepped(log.iter().filter(|entry| entry.is_a_step()).count() as u64);
         }
@@ -313,6 +340,12 @@ impl Executor {
         let (changes, claimant) = self.robots[robot].machine().last_claimant();
         if self.owner_changes[robot] != changes {
             self.owner_changes[robot] = changes;
+            if let Some(audit) = &self.told.audit {
+                let machine = self.robots[robot].machine();
+                let owner =
+                    self.peers.iter().find(|(link, (of, _))| *of == robot && machine.is_owner(**link));
+                audit.owner(robot, claimant, owner.map(|(_, (_, outbox))| outbox.peer()));
+            }
             self.told.owners[robot].send_replace(claimant.cloned());
         }
     }
@@ -323,6 +356,9 @@ impl Executor {
             match outgoing {
                 Outgoing::Message { link, message } => {
                     let Some((robot, outbox)) = self.peers.get(&link) else { continue };
+                    if let Some(audit) = &self.told.audit {
+                        audit.response(*robot, outbox.peer(), &message);
+                    }
                     if is_busy(&message) {
                         self.told.refusals.note(Reason::Busy, outbox.peer());
                     }
@@ -371,6 +407,7 @@ mod tests {
             owners: (0..robots).map(|_| watch::channel(None).0).collect(),
             refusals: Arc::default(),
             figures: Arc::new(Figures::of(robots)),
+            audit: None,
         };
         let bodies =
             arms(robots, &Settings::default()).into_iter().map(|robot| Body::Simulated(Box::new(robot)));

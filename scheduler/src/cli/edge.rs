@@ -15,7 +15,7 @@ use downbeat_robot::driver::{
 use urrcp::{DeviceId, InitializationBlock};
 
 use super::drivers::DriverArgs;
-use super::robot::{ProcessArgs, failed};
+use super::robot::{Body, ProcessArgs, failed};
 use super::{Exit, Format, console};
 
 /// Run a real robot behind a driver.
@@ -139,7 +139,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
             }
         }
     };
-    args.process.run(id, Hosted::driven(block, driver, used).watched(watch), format)
+    args.process.run(id, Hosted::driven(block, driver, used).watched(watch), Body::Real, format)
 }
 
 /// A time and a number of lines. Within this time, the same line is printed only once, and at most this number of lines are printed.

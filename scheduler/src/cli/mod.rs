@@ -6,6 +6,7 @@
 //! the recording could not be written.
 
 mod advice;
+mod audit;
 mod calibrate;
 mod certify;
 mod check;
@@ -134,6 +135,8 @@ enum Command {
     Resume(resume::ResumeArgs),
     /// List the missions of this machine.
     Missions(missions::MissionsArgs),
+    /// Show who connected to, claimed, moved and stopped robots.
+    Audit(audit::AuditArgs),
     /// Show a mission that was played, from its journal or its recording.
     Report(report::ReportArgs),
     /// Show the differences between two compiled scenarios, or between two missions that were played.
@@ -266,6 +269,7 @@ pub fn main() -> ExitCode {
         Command::Stop(args) => stop::stop(&args, format),
         Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
+        Command::Audit(args) => audit::audit(&args, format),
         Command::Report(args) => report::report(&args, format),
         Command::Diff(args) => diff::diff(&args, format),
         Command::World(args) => world::world(&args, format),

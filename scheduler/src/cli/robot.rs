@@ -19,7 +19,7 @@ use super::listen::{Listening, NetworkArgs};
 use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
-use super::{Exit, Format, console};
+use super::{Exit, Format, audit, console};
 use crate::report::Report;
 use crate::signals::{OnHangUp, Signals};
 
@@ -75,6 +75,13 @@ pub(super) struct ProcessArgs {
     /// Write every step and movement of the robot to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
+    /// Continue this audit trail of who claims, moves and stops the robot (`downbeat audit`). By default, a robot with access control or
+    /// a driver has a trail in the folder `audit` of the state folder.
+    #[arg(long, value_name = "FILE")]
+    audit: Option<PathBuf>,
+    /// Write no audit trail.
+    #[arg(long, conflicts_with = "audit")]
+    no_audit: bool,
     #[command(flatten)]
     guard: GuardArgs,
     #[command(flatten)]
@@ -102,6 +109,11 @@ pub(super) struct GuardArgs {
 }
 
 impl GuardArgs {
+    /// Whether operators have to prove their identities.
+    const fn proves(&self) -> bool {
+        self.identity.is_some() || self.secret.is_some()
+    }
+
     /// Returns the robot's access control ([`Door`]). If the robot can be reached from other machines, access without authentication
     /// requires `--insecure`.
     pub(super) fn door(&self, robot: &RobotId, listener: &TcpListener) -> Result<Door, String> {
@@ -173,10 +185,28 @@ impl ProcessArgs {
         Ok(block)
     }
 
+    /// Returns the file of the robot's audit trail. `None` if the robot has none.
+    fn audit_file(&self, id: &RobotId, body: Body) -> Option<PathBuf> {
+        if self.audit.is_some() || self.no_audit {
+            return self.audit.clone();
+        }
+        if body == Body::Simulated && !self.guard.proves() {
+            return None;
+        }
+        match audit::default_file(id) {
+            Ok(file) => Some(file),
+            Err(error) => {
+                console::warn(&format!("no audit trail is written: {error}; name a file with --audit"));
+                None
+            }
+        }
+    }
+
     /// Runs the robot until a signal asks the program to end. Nothing moves before the robot listens on its address.
-    pub(super) fn run(&self, id: RobotId, robot: Hosted, format: Format) -> Exit {
+    pub(super) fn run(&self, id: RobotId, robot: Hosted, body: Body, format: Format) -> Exit {
         let mut options = HostOptions::default().with_realtime(self.realtime.realtime());
         options.log.clone_from(&self.log_file);
+        options.audit = self.audit_file(&id, body);
         super::with_runtime(async {
             // Signals are handled before anything moves.
             let signals = match Signals::listen(OnHangUp::End) {
@@ -204,6 +234,13 @@ impl ProcessArgs {
             if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }
         })
     }
+}
+
+/// What moves when a robot moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Body {
+    Simulated,
+    Real,
 }
 
 /// Watches the log of the robots' values. Prints an error immediately if the log ends while the robots still run.
@@ -278,7 +315,7 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     let id = block.id.clone();
     let mut robot = SimulatedRobot::new(block, settings);
     args.readings.iter().for_each(|(sensor, reading)| robot.set_reading(sensor.clone(), *reading));
-    args.process.run(id, robot.into(), format)
+    args.process.run(id, robot.into(), Body::Simulated, format)
 }
 
 /// Parses a time that may have a minus sign.

@@ -3,6 +3,7 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod attacks;
+mod audit;
 mod desk;
 mod flooding;
 mod hmac;

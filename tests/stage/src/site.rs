@@ -79,7 +79,7 @@ impl Site {
             _ => command.args(["--secret", &format!("keys/secrets/r{id}.secret")]),
         };
         command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl")]);
-        command.current_dir(self.session.path(""));
+        command.current_dir(self.session.path("")).env("DOWNBEAT_STATE", self.session.path("state"));
         command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.log"))).unwrap());
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         listens(&mut child);

@@ -16,6 +16,16 @@ async fn sealed_until(
     revoked: Option<&RevokedSerials>,
 ) -> (Host, SocketAddr, Held) {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    sealed_host(host, patience, expires, revoked).await
+}
+
+/// Makes a robot of this host reachable, like [`sealed_until`].
+async fn sealed_host(
+    host: Host,
+    patience: Patience,
+    expires: i64,
+    revoked: Option<&RevokedSerials>,
+) -> (Host, SocketAddr, Held) {
     let secret = Secret::generate().unwrap();
     let robot = host.handle().robots()[0].clone();
     let roles = [Role::Observe, Role::Drive].into_iter().collect();
@@ -161,4 +171,71 @@ async fn slow_handshake_completes_while_many_connections_open() {
         _ = copied => panic!("the robot has closed the connection"),
     };
     assert!(connected.is_ok(), "{connected:?}");
+}
+
+/// Reads the messages of a sealed connection up to the response with this status.
+async fn until_status<S: tokio::io::AsyncRead + Unpin>(stream: &mut S, status: Status) {
+    let mut decoder = Decoder::default();
+    loop {
+        while let Some(decoded) = decoder.next_message() {
+            if matches!(decoded.unwrap(), Message::ControlResponse(response) if response.status == status) {
+                return;
+            }
+        }
+        let mut bytes = [0; 1024];
+        let n = tokio::time::timeout(PATIENCE, stream.read(&mut bytes)).await.unwrap().unwrap();
+        assert_ne!(n, 0, "the connection ended");
+        decoder.push(&bytes[..n]);
+    }
+}
+
+#[tokio::test]
+async fn audit_trail_records_who_connected_claimed_moved_and_stopped() {
+    use crate::audit::{Chain, Event};
+    let path = std::env::temp_dir().join(format!("downbeat-who-{}.jsonl", std::process::id()));
+    let _left_by_an_earlier_test = std::fs::remove_file(&path);
+    let options = HostOptions::default().with_audit(path.clone());
+    let host = Host::start(arms(1, &Settings::default()), options).unwrap();
+    let (host, address, held) = sealed_host(host, PATIENT, 4_000_000_000, None).await;
+    let mut stranger = TcpStream::connect(address).await.unwrap();
+    stranger.write_all(ASK).await.unwrap();
+    ended(&mut stranger).await;
+    let stream = TcpStream::connect(address).await.unwrap();
+    let from = stream.local_addr().unwrap().to_string();
+    let mut sealed = connect(stream, &held).await.unwrap();
+    let send = |message: &Message| {
+        let mut line = Vec::new();
+        encode(message, &mut line);
+        line
+    };
+    let Message::ControlRequest(request) = with_session(paper(LEAD_MS), "s") else { panic!() };
+    let request = urrcp::ControlRequest { request_id: urrcp::RequestId::new("act-1").ok(), ..request };
+    let mut bytes = CLAIM.to_vec();
+    bytes.extend(send(&Message::ControlRequest(request)));
+    sealed.write_all(&bytes).await.unwrap();
+    sealed.flush().await.unwrap();
+    until_status(&mut sealed, Status::Ok).await;
+    let device = urrcp::DeviceId::new("arm").unwrap();
+    let stop = urrcp::ControlRequest::immediate(device, Command::Script(urrcp::Script::cancel()));
+    sealed.write_all(&send(&with_session(Message::ControlRequest(stop), "s"))).await.unwrap();
+    sealed.flush().await.unwrap();
+    until_status(&mut sealed, Status::Ok).await;
+    host.stop();
+    let (mut chain, mut records) = (Chain::default(), Vec::new());
+    let file = std::fs::File::open(&path).unwrap();
+    chain.check("trail", std::io::BufReader::new(file), |record, _| records.push(record)).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(chain.faults, [""; 0]);
+    let of = |event| records.iter().filter(move |record| record.event == event).collect::<Vec<_>>();
+    assert!(of(Event::Refused).iter().all(|record| record.operator.is_none() && record.reason.is_some()));
+    assert_eq!(of(Event::Refused).len(), 1);
+    let anna = of(Event::Connected)[0];
+    assert_eq!(anna.operator.as_deref(), Some("anna"));
+    assert_eq!((anna.serial.as_deref(), anna.peer.as_deref()), (Some("0a:1b"), Some(from.as_str())));
+    assert_eq!(of(Event::Claimed)[0].session.as_deref(), Some("s"));
+    // One record for all steps of a script.
+    let [moved] = of(Event::Moved)[..] else { panic!("{records:?}") };
+    assert_eq!((moved.operator.as_deref(), moved.device.as_deref()), (Some("anna"), Some("arm")));
+    assert_eq!((moved.request.as_deref(), moved.session.as_deref()), (Some("act-1"), Some("s")));
+    assert_eq!(of(Event::Stopped)[0].operator.as_deref(), Some("anna"));
 }

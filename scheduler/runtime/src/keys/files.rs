@@ -51,13 +51,19 @@ pub(super) fn lock(folder: &Path) -> Result<File, KeysError> {
     Ok(file)
 }
 
+/// Returns a name as the name of a file, without its extension.
+#[must_use]
+pub fn file_name(name: &str) -> String {
+    utf8_percent_encode(name, KEPT).to_string()
+}
+
 /// Returns the path of a robot's or operator's identity file.
 pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
     let (kind, name) = match name {
         Name::Robot(id) => ("robots", id.as_str()),
         Name::Operator(name) => ("operators", name.as_str()),
     };
-    folder.join(kind).join(format!("{}.pem", utf8_percent_encode(name, KEPT)))
+    folder.join(kind).join(format!("{}.pem", file_name(name)))
 }
 
 /// Returns the folder that contains the robots' secrets.
@@ -66,7 +72,7 @@ fn secrets(folder: &Path) -> PathBuf {
 }
 
 pub(super) fn secret_path(folder: &Path, robot: &RobotId) -> PathBuf {
-    secrets(folder).join(format!("{}.secret", utf8_percent_encode(robot.as_str(), KEPT)))
+    secrets(folder).join(format!("{}.secret", file_name(robot.as_str())))
 }
 
 /// Returns the robots that have a secret, sorted by id.

@@ -31,6 +31,7 @@ use time::OffsetDateTime;
 use urrcp::RobotId;
 
 use crate::journal::private::NotPrivate;
+pub use files::file_name;
 pub use issued::{Entry, Issued, Kind};
 pub use secrets::IfThere;
 
