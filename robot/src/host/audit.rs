@@ -1,7 +1,7 @@
 //! Writes the audit trail of a host's robots in a thread of its own, so that the precise thread does not wait for a disk.
 #![expect(clippy::disallowed_methods, reason = "records state the time of the calendar")]
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -302,33 +302,62 @@ pub fn numbered(path: &Path, number: u32) -> PathBuf {
 /// The index of the robot, the device and the id of a request.
 type RequestKey = (usize, DeviceId, Option<String>);
 
-/// The peers and sessions of the latest requests.
+/// A request that may move a device.
+struct Requested {
+    number: u64,
+    peer: Peer,
+    session: Option<String>,
+}
+
+/// The latest requests that were not refused.
 #[derive(Default)]
 struct Requests {
-    /// The peer and the session of each request.
-    by_id: HashMap<RequestKey, (Peer, Option<String>)>,
-    order: VecDeque<RequestKey>,
+    by_key: HashMap<RequestKey, Requested>,
+    /// The requests by number, from the oldest to the newest.
+    by_number: BTreeMap<u64, RequestKey>,
+    last: u64,
 }
 
 impl Requests {
+    fn key(note: &Note) -> Option<RequestKey> {
+        Some((note.robot, note.device.clone()?, note.request.clone()))
+    }
+
+    /// Remembers a request. A request without an id replaces the previous one for the device. A second request with the same id is a
+    /// repetition, or comes from another peer, whose request the robot refuses.
     fn add(&mut self, note: &Note) {
-        let (Some(device), Some(peer)) = (&note.device, &note.peer) else { return };
-        let key = (note.robot, device.clone(), note.request.clone());
-        if self.by_id.insert(key.clone(), (peer.clone(), note.session.clone())).is_none() {
-            self.order.push_back(key);
+        let (Some(key), Some(peer)) = (Self::key(note), &note.peer) else { return };
+        if note.request.is_some() && self.by_key.contains_key(&key) {
+            return;
         }
-        if self.order.len() > REQUESTS_MAX
-            && let Some(oldest) = self.order.pop_front()
+        self.last += 1;
+        let requested = Requested { number: self.last, peer: peer.clone(), session: note.session.clone() };
+        if let Some(replaced) = self.by_key.insert(key.clone(), requested) {
+            self.by_number.remove(&replaced.number);
+        }
+        self.by_number.insert(self.last, key);
+        if self.by_number.len() > REQUESTS_MAX
+            && let Some((_, oldest)) = self.by_number.pop_first()
         {
-            self.by_id.remove(&oldest);
+            self.by_key.remove(&oldest);
         }
     }
 
+    /// Forgets a request that the robot refused, so that refused requests do not displace others.
+    fn refused(&mut self, note: &Note) {
+        let Some(key) = Self::key(note) else { return };
+        if self.by_key.get(&key).is_some_and(|requested| note.peer.as_ref() == Some(&requested.peer))
+            && let Some(requested) = self.by_key.remove(&key)
+        {
+            self.by_number.remove(&requested.number);
+        }
+    }
+
+    /// Adds the peer and the session of the request to the note of a movement.
     fn complete(&self, note: &mut Note) {
-        let Some(device) = &note.device else { return };
-        if let Some((peer, session)) = self.by_id.get(&(note.robot, device.clone(), note.request.clone())) {
-            note.peer = Some(peer.clone());
-            note.session.clone_from(session);
+        if let Some(requested) = Self::key(note).and_then(|key| self.by_key.get(&key)) {
+            note.peer = Some(requested.peer.clone());
+            note.session.clone_from(&requested.session);
         }
     }
 }
@@ -409,6 +438,7 @@ impl Writer {
         match event {
             Event::Moved | Event::Rested => self.requests.complete(&mut note),
             Event::Refused => {
+                self.requests.refused(&note);
                 if self.refusals.second.elapsed() >= Duration::from_secs(1) {
                     self.write_omitted()?;
                     self.refusals = Refusals::default();
@@ -592,6 +622,36 @@ mod tests {
         let omitted: usize = records.iter().filter_map(counted).sum();
         let refused = records.iter().filter(|record| record.event == Event::Refused).count();
         assert_eq!(omitted + refused, 10_000);
+    }
+
+    #[test]
+    fn refused_requests_of_others_do_not_hide_the_peer_of_a_movement() {
+        let mut requests = Requests::default();
+        let peer = |port: u16| Peer::at(([192, 0, 2, 7], port).into());
+        let note = |port: Option<u16>, request: String| Note {
+            robot: 0,
+            at: Timestamp::from_nanos(0),
+            kind: Kind::Request,
+            peer: port.map(peer),
+            session: None,
+            device: Some(DeviceId::new("arm").unwrap()),
+            request: Some(request),
+            reason: None,
+        };
+        requests.add(&note(Some(1), "act-1".to_owned()));
+        for i in 0..2 * REQUESTS_MAX {
+            let other = note(Some(2), format!("flood-{i}"));
+            requests.add(&other);
+            requests.refused(&other);
+        }
+        // Another peer uses the same id.
+        requests.add(&note(Some(2), "act-1".to_owned()));
+        requests.refused(&note(Some(2), "act-1".to_owned()));
+        let mut moved = note(None, "act-1".to_owned());
+        requests.complete(&mut moved);
+        assert_eq!(moved.peer, Some(peer(1)));
+        (0..2 * REQUESTS_MAX).for_each(|i| requests.add(&note(Some(3), format!("more-{i}"))));
+        assert_eq!((requests.by_key.len(), requests.by_number.len()), (REQUESTS_MAX, REQUESTS_MAX));
     }
 
     #[test]
