@@ -93,7 +93,8 @@ impl Edge {
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
         // The permissions differ from machine to machine, and are reported.
         command.args(["--realtime", "off"]).args(args);
-        let command = command.current_dir(session.path(".")).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.current_dir(session.path(".")).env("DOWNBEAT_STATE", session.path("state"));
+        let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let line = first_line(&mut child);
         let port = line.trim().rsplit(':').next().unwrap().parse();

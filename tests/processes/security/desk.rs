@@ -55,8 +55,9 @@ fn go(session: &Session, identity: &str) -> Ran {
 
 fn journal(site: &Site) -> String {
     let missions = std::fs::read_dir(site.session.path("state")).unwrap().flatten();
-    let journals = missions.map(|folder| std::fs::read_to_string(folder.path().join("journal")).unwrap());
-    journals.collect()
+    // The folder also contains the audit trails of the robots.
+    let journals = missions.map(|folder| folder.path().join("journal")).filter(|journal| journal.exists());
+    journals.map(|journal| std::fs::read_to_string(journal).unwrap()).collect()
 }
 
 #[test]
