@@ -151,7 +151,8 @@ def start_robot(downbeat, link, folder, processes):
     if link == "hmac":
         keys("secret", "r0")
     processes.start_listening(*on(ROBOTS, downbeat), "robot", "--init", "robot.yaml", "--id", "r0", "--listen",
-                              f"{ROBOT_ADDRESS}:{PORT}", *secret, "--realtime", "off", robots=1, errors=folder / "errors", cwd=folder)
+                              f"{ROBOT_ADDRESS}:{PORT}", *secret, "--realtime", "off", robots=1, errors=folder / "errors", cwd=folder,
+                              env={**os.environ, "DOWNBEAT_STATE": str(folder / "state-robot")})
 
 
 def stops(downbeat, count, folder):

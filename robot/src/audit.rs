@@ -11,6 +11,9 @@ use urrcp::{Server, Timestamp};
 /// Maximum length of a record that [`Chain::check`] reads, in bytes.
 const RECORD_BYTES_MAX: u64 = 64 * 1024;
 
+/// Maximum number of faults that [`Chain::faults`] contains.
+const FAULTS_MAX: usize = 20;
+
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -127,8 +130,10 @@ pub struct Chain {
     pub last: Option<u64>,
     /// Hash of the last line. `None` without lines.
     pub hash: Option<String>,
-    /// The places at which the chain is broken, each as a sentence without a full stop.
+    /// The first places at which the chain is broken, each as a sentence without a full stop.
     pub faults: Vec<String>,
+    /// Number of further places at which the chain is broken.
+    pub further_faults: u64,
 }
 
 impl Chain {
@@ -161,7 +166,13 @@ impl Chain {
                 Err(_) => Some("is not a record, or is incomplete".to_owned()),
             };
             let incomplete = (!is_whole).then(|| "has no end".to_owned());
-            self.faults.extend(fault.or(incomplete).map(|fault| format!("{name}, line {number}: {fault}")));
+            if let Some(fault) = fault.or(incomplete) {
+                if self.faults.len() < FAULTS_MAX {
+                    self.faults.push(format!("{name}, line {number}: {fault}"));
+                } else {
+                    self.further_faults += 1;
+                }
+            }
             self.hash = Some(hash(&line));
         }
         Ok(())

@@ -30,8 +30,8 @@ use crate::zenoh;
 #[cfg(feature = "sealed")]
 use downbeat_sealed as sealed;
 
-/// Interval between attempts to admit a new connection. An attempt fails if there is no room, and all other connections are too new to be
-/// closed.
+/// Interval between attempts to admit a new connection. An attempt fails while too many connections that were asked to close have not yet
+/// done so.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
 /// Delay before the next attempt to accept a connection after one has failed, for example because no file descriptor was left. Other
 /// connections may close in the meantime.

@@ -1,7 +1,7 @@
 //! `downbeat audit`: shows the connections, claims, movements and stops in the audit trails of robots, with the operators who caused them.
 //! Checks that no record was changed or removed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs::File;
 use std::io::BufReader;
@@ -114,9 +114,11 @@ pub(super) fn audit(args: &AuditArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     let (mut records, mut trails, mut contains) = (Vec::new(), Vec::new(), args.contains.is_none());
+    let mut robots = BTreeSet::new();
     for file in files {
         let mut chain = Chain::default();
         let mut keep = |record: Record, hash: &str| {
+            robots.insert(record.robot.clone());
             contains |= args.contains.as_deref() == Some(hash);
             if args.selects(&record) {
                 records.push(record);
@@ -125,8 +127,22 @@ pub(super) fn audit(args: &AuditArgs, format: Format) -> Exit {
         if let Err(exit) = read(&file, &mut chain, &mut keep) {
             return exit;
         }
-        let Chain { first, last, hash, faults } = chain;
+        let Chain { first, last, hash, mut faults, further_faults, .. } = chain;
+        if first.is_none() {
+            // A trail begins when its robot starts.
+            faults = vec![format!("{} contains no records of an audit trail", file.display())];
+        } else if further_faults > 0 {
+            faults.push(format!("{}: {further_faults} faults more", file.display()));
+        }
         trails.push(Trail { file, first, last, hash, faults });
+    }
+    if let Some(unknown) = args.robot.as_ref().filter(|robot| !robots.contains(robot.as_str())) {
+        let known: Vec<_> = robots.iter().map(String::as_str).collect();
+        console::error(&format!(
+            "no record is about the robot `{unknown}`; robots with records: {}",
+            if known.is_empty() { "none".to_owned() } else { shown(&known.join(", ")).to_string() }
+        ));
+        return Exit::Usage;
     }
     if args.at.is_some() {
         records = state(records);
@@ -193,9 +209,8 @@ fn read(newest: &Path, chain: &mut Chain, keep: &mut impl FnMut(Record, &str)) -
     paths.push(newest.to_owned());
     for path in paths {
         let refuse = |error: &std::io::Error| {
-            let Refusal { reason, remedy } = Refusal::of(Attempt::Read(&path), error);
-            let remedy = remedy.map(|remedy| format!("; {remedy}")).unwrap_or_default();
-            console::error(&format!("cannot read {}: {reason}{remedy}", shown(&path.display().to_string())));
+            let refusal = Refusal::of(Attempt::Read(&path), error);
+            console::error(&format!("cannot read {}: {refusal}", shown(&path.display().to_string())));
             Exit::Usage
         };
         let file: File = downbeat_scripts::open(&path).map_err(|error| refuse(&error))?;

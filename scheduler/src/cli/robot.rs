@@ -345,6 +345,10 @@ pub(super) fn not_hosted(error: &HostError) -> String {
         HostError::Log { path, error } => {
             format!("cannot write the log {}: {}", path.display(), Refusal::of(Attempt::Write(path), error))
         }
+        HostError::Audit { path, error } => {
+            let refusal = Refusal::of(Attempt::Write(path), error);
+            format!("cannot write the audit trail {}: {refusal}", path.display())
+        }
         other => other.to_string(),
     }
 }

@@ -82,6 +82,36 @@ fn changed_trail_is_detected() {
 }
 
 #[test]
+fn other_files_are_refused_with_one_error() {
+    let site = Site::new();
+    let session = &site.session;
+    let no_records = |name: &str, content: &[u8]| {
+        std::fs::write(session.path(name), content).unwrap();
+        let ran = session.run(&["audit", name]);
+        ran.says(1, &["contains no records of an audit trail"]);
+        assert_eq!(ran.text().matches("error:").count(), 1, "{}", ran.text());
+    };
+    no_records("empty.jsonl", b"");
+    no_records("binary.jsonl", &[0xff, 0, b'\n'].repeat(100_000));
+    no_records("long.jsonl", &b"{\"a\": 1}\n".repeat(100_000));
+    session.run(&["audit", "missing.jsonl"]).says(2, &["missing.jsonl: there is no such file"]);
+    session.run(&["audit", "keys"]).says(2, &["this is a folder"]);
+    session.run(&["audit", "--robot", "nobody"]).says(2, &["`nobody`", "robots with records: r0, r1, r2"]);
+    let printed = audit(session, &["--robot", "r0"], |records| !records.is_empty());
+    let path = printed["trails"][0]["file"].as_str().unwrap();
+    let line = std::fs::read_to_string(path).unwrap().lines().next().unwrap().to_owned();
+    std::fs::write(session.path("repeated.jsonl"), format!("{line}\n").repeat(1_000)).unwrap();
+    let ran = session.run(&["audit", "repeated.jsonl"]);
+    ran.says(1, &["repeated.jsonl, line 2: the previous line was changed", "979 faults more"]);
+    let robot = ["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--audit"];
+    for (path, why) in [("keys", "this is a folder"), ("missing/r.jsonl", "missing/r.jsonl")] {
+        let ran = session.run(&[&robot[..], &[path]].concat());
+        ran.says(2, &["cannot write the audit trail", why]);
+        assert!(!ran.text().contains("os error"), "{}", ran.text());
+    }
+}
+
+#[test]
 fn trail_is_written_by_default_only_by_secured_robots_and_edges() {
     let session = Session::new();
     session.run(&["audit"]).says(2, &["no robot of this machine has written an audit trail"]);

@@ -303,7 +303,8 @@ pub fn ended_by_a_hang_up() -> Command {
 fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &Path) -> (Process, u16) {
     let mut command = Command::new(program());
     command.args(["robot", "--init", init, "--id", id, "--listen", &format!("127.0.0.1:{port}")]).args(args);
-    command.arg("--log-file").arg(log).current_dir(folder).stdout(Stdio::piped()).stderr(Stdio::null());
+    command.arg("--log-file").arg(log).current_dir(folder).env("DOWNBEAT_STATE", folder.join("state"));
+    command.stdout(Stdio::piped()).stderr(Stdio::null());
     let mut process = Process(command.spawn().unwrap());
     let mut line = String::new();
     BufReader::new(process.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
