@@ -422,7 +422,7 @@ impl Writer {
         }
         let ended = written.and_then(|()| self.write_omitted()).and_then(|()| self.trail.file.sync_data());
         if let Err(error) = ended {
-            tracing::error!("the audit trail {} ends: {error}", self.trail.path.display());
+            tracing::error!("the audit trail {} ends: {}", self.trail.path.display(), error.kind());
         }
     }
 

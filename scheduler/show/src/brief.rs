@@ -69,8 +69,9 @@ fn late_steps(report: &Report) -> Option<String> {
     let max = late().filter_map(|robot| robot.late_max).max();
     let max = max.map_or_else(String::new, |max| format!(", by at most {}", rounded(max)));
     let robots = counted(late().count(), "robot");
+    let were = if steps == 1 { "was" } else { "were" };
     let steps = counted(usize::try_from(steps).unwrap_or(usize::MAX), "step");
-    (late().count() > 0).then(|| format!("{steps} of {robots} were more than 1 ms late{max}"))
+    (late().count() > 0).then(|| format!("{steps} of {robots} {were} more than 1 ms late{max}"))
 }
 
 fn confirmed_stops(report: &Report) -> Option<String> {
