@@ -655,6 +655,33 @@ mod tests {
     }
 
     #[test]
+    fn movement_is_attributed_despite_a_flood_of_refused_requests() {
+        let folder = Folder::new("flood");
+        let (audit, thread) = start(folder.trail(), robots()).unwrap();
+        let note = |kind, port, request: &str| Note {
+            robot: 0,
+            at: Timestamp::from_nanos(0),
+            kind,
+            peer: Some(Peer::at(([192, 0, 2, 7], port).into())),
+            session: None,
+            device: Some(DeviceId::new("arm").unwrap()),
+            request: Some(request.to_owned()),
+            reason: None,
+        };
+        audit.send(note(Kind::Request, 1, "act-1"));
+        for i in 0..REQUESTS_MAX + 10 {
+            audit.send(note(Kind::Request, 2, &format!("flood-{i}")));
+            audit.send(note(Kind::Event(Event::Refused), 2, &format!("flood-{i}")));
+        }
+        audit.send(Note { peer: None, ..note(Kind::Event(Event::Moved), 0, "act-1") });
+        audit.end();
+        thread.join().unwrap();
+        let (_, records) = check(&[&fs::read_to_string(folder.trail()).unwrap()]);
+        let moved = records.iter().find(|record| record.event == Event::Moved).unwrap();
+        assert_eq!(moved.peer.as_deref(), Some("192.0.2.7:1"));
+    }
+
+    #[test]
     fn keys_of_sessions_are_not_recorded() {
         let key = "0123456789abcdef0123456789abcdef";
         assert_eq!(
