@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{read_regular, replace};
+use super::{KeyFileError, number, read_regular, replace};
 
 /// Identifies a version of a file. Programs cannot set the time of the last status change (`ctime`). Therefore a change of the content
 /// changes the stamp even if the modification time remains the same.
@@ -36,6 +36,9 @@ impl Stamp {
 pub trait Versioned {
     /// Whether this version was made before the other one.
     fn is_older_than(&self, other: &Self) -> bool;
+
+    /// Returns the number of this version, which is stored next to the file. `None` if it does not fit into 64 bits.
+    fn number(&self) -> Option<u64>;
 }
 
 /// The content of a file. [`Watched::refresh`] reads the file again if it has changed. An older or unusable version does not replace the
@@ -53,15 +56,31 @@ struct Latest<T> {
     content: Arc<T>,
 }
 
+impl<T: Versioned> Latest<T> {
+    fn replace(&mut self, path: &Path, content: T) {
+        if let Some(number) = content.number() {
+            number::raise(path, number);
+        }
+        self.content = Arc::new(content);
+    }
+}
+
 impl<T: Versioned> Watched<T> {
     /// Reads a file for the first time.
     ///
     /// # Errors
-    /// Those of `read`.
-    pub fn new<E>(path: &Path, read: impl FnOnce(&Path) -> Result<T, E>) -> Result<Self, E> {
+    /// Those of `read`, and [`KeyFileError::Older`] if a process has already used a version with a larger number.
+    pub fn new<E: From<KeyFileError>>(
+        path: &Path,
+        read: impl FnOnce(&Path) -> Result<T, E>,
+    ) -> Result<Self, E> {
         // The stamp is taken before the file is read: if the file changes in between, `refresh` reads it again.
         let seen = Stamp::of(path);
         let content = Arc::new(read(path)?);
+        if let Some(number) = content.number() {
+            number::check(path, number)?;
+            number::raise(path, number);
+        }
         Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }) })
     }
 
@@ -88,7 +107,7 @@ impl<T: Versioned> Watched<T> {
                         self.path.display()
                     );
                 }
-                Ok(content) => latest.content = Arc::new(content),
+                Ok(content) => latest.replace(&self.path, content),
                 Err(error) => tracing::warn!("{error}; the previous version remains in use"),
             }
         }
@@ -112,7 +131,7 @@ impl<T: Versioned> Watched<T> {
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
             // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
-            latest.content = Arc::new(content);
+            latest.replace(&self.path, content);
         }
         Ok(())
     }
@@ -130,11 +149,16 @@ mod tests {
         fn is_older_than(&self, other: &Self) -> bool {
             self < other
         }
+
+        fn number(&self) -> Option<u64> {
+            Some(u64::from(*self))
+        }
     }
 
-    fn read(path: &Path) -> Result<u32, String> {
-        let text = std::fs::read_to_string(path).map_err(|error| error.to_string())?;
-        text.parse().map_err(|_| "bad".to_owned())
+    fn read(path: &Path) -> Result<u32, KeyFileError> {
+        let text = String::from_utf8_lossy(&read_regular(path, 10)?).into_owned();
+        let bad = || KeyFileError::Unreadable { path: path.into(), error: std::io::Error::other("bad") };
+        text.parse().map_err(|_| bad())
     }
 
     /// Removes the file when a test ends.
@@ -143,6 +167,7 @@ mod tests {
     impl Drop for File {
         fn drop(&mut self) {
             let _removed_already = std::fs::remove_file(&self.0);
+            let _not_written = std::fs::remove_file(number::file_of(&self.0));
         }
     }
 
@@ -193,8 +218,40 @@ mod tests {
         assert_eq!(stored(), "5", "restored");
         assert_eq!(watched.replace("4", 4).unwrap_err(), "it is older than the version in use");
         assert_eq!((stored().as_str(), *watched.latest(), *watched.refresh(read)), ("5", 5, 5));
-        let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, String>(1)).unwrap();
+        let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, KeyFileError>(1)).unwrap();
         let error = nowhere.replace("2", 2).unwrap_err();
         assert!(error.starts_with("cannot write ") && *nowhere.latest() == 1, "{error}");
+    }
+
+    #[test]
+    fn older_version_is_refused_after_a_restart() {
+        let file = File::new("restarted");
+        let stored = || std::fs::read_to_string(number::file_of(&file.0)).unwrap();
+        let start = |version: &str| {
+            std::fs::write(&file.0, version).unwrap();
+            Watched::new(&file.0, read)
+        };
+        let refused = |version: &str| start(version).unwrap_err().to_string();
+        let watched = start("1").unwrap();
+        assert_eq!(stored(), "1\n");
+        std::fs::write(&file.0, "5").unwrap();
+        assert_eq!((*watched.refresh(read), stored().as_str()), (5, "5\n"));
+        let error = refused("4");
+        assert!(error.contains("this is list 4, but list 5 was already in use here"), "{error}");
+        assert!(error.contains(".number"), "it names the file to delete: {error}");
+        start("5").unwrap().replace("7", 7).unwrap();
+        assert_eq!(stored(), "7\n");
+        assert!(refused("6").contains("this is list 6, but list 7 was"));
+        // The number never becomes smaller, not even if another process uses an older version.
+        std::fs::write(&file.0, "8").unwrap();
+        watched.refresh(read);
+        number::raise(&file.0, 3);
+        assert_eq!(stored(), "8\n");
+        // A damaged or missing number is no reason to refuse a version.
+        for damage in ["", "x", "-1", "99999999999999999999999999999999999"] {
+            std::fs::write(number::file_of(&file.0), damage).unwrap();
+            assert_eq!(*start("2").unwrap().latest(), 2, "{damage:?}");
+            assert_eq!(stored(), "2\n");
+        }
     }
 }

@@ -92,6 +92,10 @@ impl Versioned for Serials {
     fn is_older_than(&self, other: &Self) -> bool {
         self.number < other.number
     }
+
+    fn number(&self) -> Option<u64> {
+        Some(self.number)
+    }
 }
 
 /// A list that is read again when its file changes. An older list does not replace it.

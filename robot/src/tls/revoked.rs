@@ -110,6 +110,10 @@ impl Versioned for List {
     fn is_older_than(&self, other: &Self) -> bool {
         (self.number.len(), &self.number) < (other.number.len(), &other.number)
     }
+
+    fn number(&self) -> Option<u64> {
+        Self::number(self)
+    }
 }
 
 fn der(text: &[u8], path: &Path) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {

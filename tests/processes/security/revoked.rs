@@ -192,6 +192,35 @@ fn mission_waiting_for_its_operator_ends_when_the_key_is_revoked() {
     assert_eq!(site.moved(), 0);
 }
 
+#[test]
+fn robot_refuses_an_older_list_when_it_starts() {
+    for (scheme, list) in [("tls", "keys/revoked.pem"), ("hmac", "keys/revoked.serials")] {
+        let site = Site::with(scheme);
+        let session = &site.session;
+        let older = std::fs::read(session.path(list)).unwrap();
+        session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &[]);
+        std::fs::copy(session.path(list), session.path("copy")).unwrap();
+        let number = |path: &str| std::fs::read_to_string(session.path(path)).unwrap().trim().to_owned();
+        drop(site.another(0, "copy"));
+        let used = number("copy.number");
+        session.file("copy", older);
+        let (kind, key) = if scheme == "tls" {
+            ("--identity", "keys/robots/r0.pem")
+        } else {
+            ("--secret", "keys/secrets/r0.secret")
+        };
+        let robot = ["robot", "--init", "arm.yaml", "--id", "r0", "--listen", "127.0.0.1:0", kind, key];
+        let started = || session.run(&[&robot[..], &["--revoked", "copy"]].concat());
+        started()
+            .says(2, &["copy: this is list ", &format!("but list {used} was already in use"), "copy.number"]);
+        assert_eq!(number("copy.number"), used);
+        // The operator has replaced the authority.
+        std::fs::remove_file(session.path("copy.number")).unwrap();
+        drop(site.another(0, "copy"));
+        assert_ne!(number("copy.number"), used);
+    }
+}
+
 /// A robot that users copy, with its own copy of the list of revoked keys. Anna and Bert may drive it.
 struct Starter {
     session: Session,
