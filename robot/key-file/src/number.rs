@@ -45,7 +45,7 @@ pub(super) fn raise(path: &Path, number: u64) {
     // Robots of one process may share a file.
     static WRITING: Mutex<()> = Mutex::new(());
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-    if stored(path).is_some_and(|latest| number <= latest) {
+    if number <= stored(path).unwrap_or(0) {
         return;
     }
     let file = file_of(path);

@@ -37,7 +37,7 @@ pub trait Versioned {
     /// Whether this version was made before the other one.
     fn is_older_than(&self, other: &Self) -> bool;
 
-    /// Returns the number of this version, which is stored next to the file. `None` if it does not fit into 64 bits.
+    /// Returns the number of this version. A newer version has a larger number. `None` if the number does not fit into 64 bits.
     fn number(&self) -> Option<u64>;
 }
 
@@ -47,6 +47,8 @@ pub trait Versioned {
 pub struct Watched<T> {
     path: PathBuf,
     latest: Mutex<Latest<T>>,
+    /// Whether the largest number of all versions in use is stored next to the file.
+    stores_number: bool,
 }
 
 #[derive(Debug)]
@@ -56,32 +58,31 @@ struct Latest<T> {
     content: Arc<T>,
 }
 
-impl<T: Versioned> Latest<T> {
-    fn replace(&mut self, path: &Path, content: T) {
-        if let Some(number) = content.number() {
-            number::raise(path, number);
-        }
-        self.content = Arc::new(content);
-    }
-}
-
 impl<T: Versioned> Watched<T> {
     /// Reads a file for the first time.
     ///
     /// # Errors
-    /// Those of `read`, and [`KeyFileError::Older`] if a process has already used a version with a larger number.
-    pub fn new<E: From<KeyFileError>>(
-        path: &Path,
-        read: impl FnOnce(&Path) -> Result<T, E>,
-    ) -> Result<Self, E> {
+    /// Those of `read`.
+    pub fn new<E>(path: &Path, read: impl FnOnce(&Path) -> Result<T, E>) -> Result<Self, E> {
         // The stamp is taken before the file is read: if the file changes in between, `refresh` reads it again.
         let seen = Stamp::of(path);
         let content = Arc::new(read(path)?);
-        if let Some(number) = content.number() {
-            number::check(path, number)?;
-            number::raise(path, number);
+        Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }), stores_number: false })
+    }
+
+    /// Refuses versions that are older than one that was in use before the process started. For this purpose, stores the largest number
+    /// of all versions in use next to the file, in `revoked.pem.number` for `revoked.pem`. If this file is missing, damaged or cannot be
+    /// written, logs that.
+    ///
+    /// # Errors
+    /// [`KeyFileError::Older`]: the version in use is such an older version.
+    pub fn storing_number(mut self) -> Result<Self, KeyFileError> {
+        if let Some(number) = self.latest().number() {
+            number::check(&self.path, number)?;
+            number::raise(&self.path, number);
         }
-        Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }) })
+        self.stores_number = true;
+        Ok(self)
     }
 
     /// Returns the path of the file.
@@ -107,7 +108,7 @@ impl<T: Versioned> Watched<T> {
                         self.path.display()
                     );
                 }
-                Ok(content) => latest.replace(&self.path, content),
+                Ok(content) => latest.content = self.used(content),
                 Err(error) => tracing::warn!("{error}; the previous version remains in use"),
             }
         }
@@ -131,9 +132,17 @@ impl<T: Versioned> Watched<T> {
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
             // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
-            latest.replace(&self.path, content);
+            latest.content = self.used(content);
         }
         Ok(())
+    }
+
+    /// Stores the number of a version that will be used.
+    fn used(&self, content: T) -> Arc<T> {
+        if let Some(number) = content.number().filter(|_| self.stores_number) {
+            number::raise(&self.path, number);
+        }
+        Arc::new(content)
     }
 
     fn lock(&self) -> MutexGuard<'_, Latest<T>> {
@@ -155,10 +164,9 @@ mod tests {
         }
     }
 
-    fn read(path: &Path) -> Result<u32, KeyFileError> {
-        let text = String::from_utf8_lossy(&read_regular(path, 10)?).into_owned();
-        let bad = || KeyFileError::Unreadable { path: path.into(), error: std::io::Error::other("bad") };
-        text.parse().map_err(|_| bad())
+    fn read(path: &Path) -> Result<u32, String> {
+        let text = std::fs::read_to_string(path).map_err(|error| error.to_string())?;
+        text.parse().map_err(|_| "bad".to_owned())
     }
 
     /// Removes the file when a test ends.
@@ -218,7 +226,7 @@ mod tests {
         assert_eq!(stored(), "5", "restored");
         assert_eq!(watched.replace("4", 4).unwrap_err(), "it is older than the version in use");
         assert_eq!((stored().as_str(), *watched.latest(), *watched.refresh(read)), ("5", 5, 5));
-        let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, KeyFileError>(1)).unwrap();
+        let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, String>(1)).unwrap();
         let error = nowhere.replace("2", 2).unwrap_err();
         assert!(error.starts_with("cannot write ") && *nowhere.latest() == 1, "{error}");
     }
@@ -229,7 +237,7 @@ mod tests {
         let stored = || std::fs::read_to_string(number::file_of(&file.0)).unwrap();
         let start = |version: &str| {
             std::fs::write(&file.0, version).unwrap();
-            Watched::new(&file.0, read)
+            Watched::new(&file.0, read).unwrap().storing_number()
         };
         let refused = |version: &str| start(version).unwrap_err().to_string();
         let watched = start("1").unwrap();
@@ -243,15 +251,18 @@ mod tests {
         assert_eq!(stored(), "7\n");
         assert!(refused("6").contains("this is list 6, but list 7 was"));
         // The number never becomes smaller, not even if another process uses an older version.
-        std::fs::write(&file.0, "8").unwrap();
-        watched.refresh(read);
         number::raise(&file.0, 3);
-        assert_eq!(stored(), "8\n");
+        assert_eq!(stored(), "7\n");
         // A damaged or missing number is no reason to refuse a version.
         for damage in ["", "x", "-1", "99999999999999999999999999999999999"] {
             std::fs::write(number::file_of(&file.0), damage).unwrap();
             assert_eq!(*start("2").unwrap().latest(), 2, "{damage:?}");
             assert_eq!(stored(), "2\n");
         }
+        std::fs::remove_file(number::file_of(&file.0)).unwrap();
+        let without = Watched::new(&file.0, read).unwrap();
+        std::fs::write(&file.0, "9").unwrap();
+        assert_eq!((*without.refresh(read), number::file_of(&file.0).exists()), (9, false));
+        start("1").unwrap();
     }
 }

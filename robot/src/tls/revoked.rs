@@ -149,6 +149,12 @@ impl CurrentList {
         Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
     }
 
+    /// Refuses lists that are older than one that was in use before the process started.
+    pub(super) fn storing_number(self) -> Result<Self, String> {
+        let file = self.file.storing_number().map_err(|error| error.to_string())?;
+        Ok(Self { file, ..self })
+    }
+
     /// Stores this list in the file and uses it if it is newer than the list in use. Does nothing if both are equally new.
     pub(super) fn replace(&self, text: &str) -> Result<(), String> {
         let list = List::of_pem(text.as_bytes(), self.file.path(), &self.authority);
