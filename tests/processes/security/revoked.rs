@@ -356,7 +356,8 @@ fn starter_ends_commands_of_expired_key(scheme: &'static str) {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs().cast_signed();
     let authority = Authority::open(&robot.session.path("keys")).unwrap();
     let eva = [Name::Operator("eva".to_owned())].into();
-    authority.issue(&eva, &[Role::Observe, Role::Drive].into(), now - 24 * 3600 + 12, 1).unwrap();
+    let roles = [Role::Observe, Role::Drive].into_iter().collect();
+    authority.issue(&eva, &roles, now - 24 * 3600 + 12, 1).unwrap();
     drop(authority);
     let playing = operators.playing("eva", "long.yaml");
     fails_with(playing, "forbidden: the operator's key has expired");
