@@ -31,7 +31,8 @@ impl Guard {
     /// # Errors
     /// A sentence with the reason why the identity or the list of revoked certificates cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
-        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
+        let current = |revoked| CurrentList::new(&revoked, &own.authority)?.storing_number();
+        let revoked = revoked.map(current).transpose()?;
         let list = revoked.as_ref().map(CurrentList::list);
         let config = server_config(&own, list.as_deref())?;
         Ok(Self { own, revoked, config: Mutex::new((list, Arc::new(config))) })

@@ -110,6 +110,10 @@ impl Versioned for List {
     fn is_older_than(&self, other: &Self) -> bool {
         (self.number.len(), &self.number) < (other.number.len(), &other.number)
     }
+
+    fn number(&self) -> Option<u64> {
+        Self::number(self)
+    }
 }
 
 fn der(text: &[u8], path: &Path) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
@@ -143,6 +147,12 @@ impl CurrentList {
         let file = Watched::new(&revoked.path, |path| List::read(path, authority));
         let file = file.map_err(|error| error.to_string())?;
         Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
+    }
+
+    /// Refuses lists that are older than one that was in use before the process started.
+    pub(super) fn storing_number(self) -> Result<Self, String> {
+        let file = self.file.storing_number().map_err(|error| error.to_string())?;
+        Ok(Self { file, ..self })
     }
 
     /// Stores this list in the file and uses it if it is newer than the list in use. Does nothing if both are equally new.
