@@ -402,14 +402,19 @@ def proven(certificate):
     return "".join(names) or "nobody", {role for kind, role in uris if kind == "role"}
 
 def guard(identity, revoked):
-    """TLS 1.3 for operators of the authority that made this identity file: a key, its certificate, and the authority's."""
+    """TLS 1.3 for operators of the authorities in this identity file: a key, its certificate, and those of one or two authorities."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version, context.verify_mode, context.num_tickets = ssl.TLSVersion.TLSv1_3, ssl.CERT_REQUIRED, 0
     context.load_cert_chain(identity)
     with open(identity) as file:
-        context.load_verify_locations(cadata="".join(file.read().rpartition("-----BEGIN CERTIFICATE-----")[1:]))
+        context.load_verify_locations(cadata=file.read().partition("-----END CERTIFICATE-----\n")[2])
     if revoked:
-        context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
+        listed = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        listed.load_verify_locations(revoked)
+        signed = [found for found in listed.get_ca_certs() if found["subject"] != found["issuer"]]
+        if len(signed) < listed.cert_store_stats()["x509"]:     # it would be trusted without a signature
+            raise SystemExit(f"{revoked}: no other authority signed a certificate in it; expected the file that `downbeat keys` wrote")
+        context.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN      # the whole chain: a list ends its own authority by containing it
         context.load_verify_locations(revoked)
     return context
 
