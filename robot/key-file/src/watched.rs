@@ -36,6 +36,15 @@ impl Stamp {
 pub trait Versioned {
     /// Whether this version was made before the other one.
     fn is_older_than(&self, other: &Self) -> bool;
+
+    /// Returns this version with everything from the previous one that must remain in force.
+    #[must_use]
+    fn after(self, _previous: &Self) -> Self
+    where
+        Self: Sized,
+    {
+        self
+    }
 }
 
 /// The content of a file. [`Watched::refresh`] reads the file again if it has changed. An older or unusable version does not replace the
@@ -88,7 +97,7 @@ impl<T: Versioned> Watched<T> {
                         self.path.display()
                     );
                 }
-                Ok(content) => latest.content = Arc::new(content),
+                Ok(content) => latest.content = Arc::new(content.after(&latest.content)),
                 Err(error) => tracing::warn!("{error}; the previous version remains in use"),
             }
         }
@@ -112,7 +121,7 @@ impl<T: Versioned> Watched<T> {
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
             // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
-            latest.content = Arc::new(content);
+            latest.content = Arc::new(content.after(&latest.content));
         }
         Ok(())
     }
