@@ -39,6 +39,15 @@ pub trait Versioned {
 
     /// Returns the number of this version. A newer version has a larger number. `None` if the number does not fit into 64 bits.
     fn number(&self) -> Option<u64>;
+
+    /// Returns this version with everything from the previous one that must remain in force.
+    #[must_use]
+    fn after(self, _previous: &Self) -> Self
+    where
+        Self: Sized,
+    {
+        self
+    }
 }
 
 /// The content of a file. [`Watched::refresh`] reads the file again if it has changed. An older or unusable version does not replace the
@@ -108,7 +117,7 @@ impl<T: Versioned> Watched<T> {
                         self.path.display()
                     );
                 }
-                Ok(content) => latest.content = self.used(content),
+                Ok(content) => latest.content = self.used(content.after(&latest.content)),
                 Err(error) => tracing::warn!("{error}; the previous version remains in use"),
             }
         }
@@ -132,7 +141,7 @@ impl<T: Versioned> Watched<T> {
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
             // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
-            latest.content = self.used(content);
+            latest.content = self.used(content.after(&latest.content));
         }
         Ok(())
     }

@@ -61,6 +61,8 @@ pub struct Identity {
     pub expires: i64,
     /// Serial number of the certificate, in hexadecimal digits.
     pub serial: String,
+    /// Name of the authority that issued the certificate.
+    pub authority: String,
 }
 
 impl Identity {
@@ -88,7 +90,8 @@ impl Identity {
         let roles =
             if matches!(name, Name::Robot(_)) { Roles::default() } else { roles.into_iter().collect() };
         let expires = certificate.validity().not_after.timestamp();
-        Ok(Self { name, roles, expires, serial: certificate.raw_serial_as_string() })
+        let authority = certificate.issuer().to_string();
+        Ok(Self { name, roles, expires, serial: certificate.raw_serial_as_string(), authority })
     }
 
     fn part(uri: &str) -> Option<Part> {

@@ -425,16 +425,27 @@ def proven(certificate):
     return "".join(names) or "nobody", {role for kind, role in uris if kind == "role"}, key
 
 class Keys:
-    """TLS 1.3 for operators of the authority that made the identity file: a key, its certificate, and the authority's. A list of revoked
-    certificates, if it has a path, is read again when it changes."""
+    """TLS 1.3 for operators of the authorities in the identity file: a key, its certificate, and those of one or two authorities. A list
+    of revoked certificates, if it has a path, is read again when it changes."""
     def __init__(self, identity, path):
         with open(identity) as file:
-            self.authority = "".join(file.read().rpartition("-----BEGIN CERTIFICATE-----")[1:])
+            self.authority = file.read().partition("-----END CERTIFICATE-----\n")[2]
         self.tls, self.path = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), path
         self.tls.minimum_version, self.tls.verify_mode, self.tls.num_tickets = ssl.TLSVersion.TLSv1_3, ssl.CERT_REQUIRED, 0
         self.tls.load_cert_chain(identity)
         self.tls.load_verify_locations(cadata=self.authority)
         self.seen, (self.number, self.revoked) = self.stamp(), self.read() if path else (0, set())
+        if path:
+            self.follow_authorities()
+    def follow_authorities(self):
+        """Trusts an authority that the file introduces, and no longer trusts one that has ended."""
+        listed = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        listed.load_verify_locations(self.path)
+        signed = [found for found in listed.get_ca_certs() if found["subject"] != found["issuer"]]
+        if len(signed) < listed.cert_store_stats()["x509"]:     # it would be trusted without a signature
+            raise SystemExit(f"{self.path}: no other authority signed a certificate in it; expected the file that `downbeat keys` wrote")
+        self.tls.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN     # the whole chain: a list ends its own authority by containing it
+        self.tls.load_verify_locations(self.path)
     def invalid(self, serial, expires):
         """Why a key is not valid, or None."""
         expired = "the operator's key has expired" if expires < time.time() else None
@@ -452,6 +463,7 @@ class Keys:
             number, revoked = self.read()
             need(number >= self.number, f"{self.path}: its number {number} is smaller than {self.number}, that of the list in use")
             self.number, self.revoked = number, revoked
+            self.tls.load_verify_locations(self.path)
         except Exception as fault:
             log(f"{fault}; the previous list remains in use")
     def read(self):

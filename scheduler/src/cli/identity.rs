@@ -108,6 +108,12 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
                 "the certificate of {name} expires in {days} days; create a new one with `downbeat keys renew`"
             ));
         }
+        if site.is_of_replaced_authority() {
+            console::warn(&format!(
+                "the certificate of {} is of an authority that is being replaced; create a new one with `downbeat keys renew`, and use its file",
+                identity.name
+            ));
+        }
     }
     Ok(site)
 }

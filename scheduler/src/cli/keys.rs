@@ -12,7 +12,7 @@ use urrcp::RobotId;
 
 use super::push::{self, PushArgs};
 use super::{Exit, Format, ProjectArgs, console};
-use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
+use crate::keys::{Authorities, Authority, End, Entry, IfThere, Issuing, KeysError, Kind, calendar};
 use crate::show::table::Rows;
 
 /// Default validity of a certificate in days.
@@ -32,7 +32,8 @@ Examples:
   downbeat keys robot cf1 cf2 cf3
   downbeat keys operator anna --role observe,drive,stop
   downbeat keys secret cf4
-  downbeat keys revoke cf2"
+  downbeat keys revoke cf2
+  downbeat keys rotate"
 )]
 pub(super) enum KeysCommand {
     /// Make the authority whose certificates all robots and operators of a site trust.
@@ -47,6 +48,8 @@ pub(super) enum KeysCommand {
     Renew(RenewArgs),
     /// Revoke all keys of a robot or an operator, including its secret and passes.
     Revoke(RevokeArgs),
+    /// Replace the authority while its robots and operators continue to work.
+    Rotate(RotateArgs),
     /// Send the list of revoked keys to the robots of a fleet.
     Push(PushArgs),
     /// List all certificates and secrets.
@@ -130,7 +133,7 @@ pub(super) struct NamedArgs {
     #[command(flatten)]
     folder: FolderArgs,
     /// The robot's id.
-    #[arg(required_unless_present = "operator", value_name = "ROBOT")]
+    #[arg(required_unless_present_any = ["operator", "all"], value_name = "ROBOT")]
     robot: Option<RobotId>,
     /// The operator's name, instead of a robot.
     #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = operator_name)]
@@ -168,11 +171,39 @@ pub(super) struct RevokeArgs {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  downbeat keys renew cf2
+  downbeat keys renew --all")]
 pub(super) struct RenewArgs {
     #[command(flatten)]
     named: NamedArgs,
     #[command(flatten)]
     days: DaysArgs,
+    /// After `downbeat keys rotate`: make a new key for each name that has only one of the old authority.
+    #[arg(long, conflicts_with_all = ["robot", "operator"])]
+    all: bool,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "If the key of the authority was stolen, do not use this command: make a new authority in another folder, and new keys for all.
+
+Examples:
+  downbeat keys rotate           # 1. make the new authority
+  downbeat keys push             # 2. robots and operators that get revoked.pem trust both
+  downbeat keys renew --all      # 3. make new keys, and copy them as at first
+  downbeat keys rotate --end     # 4. make the list that shuts out the old authority
+  downbeat keys push             # 5. send it"
+)]
+pub(super) struct RotateArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    /// Shut out the old authority, and delete its key.
+    #[arg(long)]
+    end: bool,
+    /// With --end, also shut out names that have only a key of the old authority.
+    #[arg(long, requires = "end")]
+    force: bool,
 }
 
 /// Maximum length of an operator's name in characters. A robot's id has the same limit.
@@ -204,6 +235,7 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
             Ok(exit) => return exit,
             Err(error) => Err(error),
         },
+        KeysCommand::Rotate(args) => rotate(args, format),
         KeysCommand::Push(args) => return push::push(args, format),
         KeysCommand::List(args) => list(args, format),
     };
@@ -215,6 +247,9 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
                 KeysError::Taken(_)
                 | KeysError::SecretTaken(_)
                 | KeysError::RevokedAlready(_)
+                | KeysError::Rotating(_)
+                | KeysError::NotRotating(_)
+                | KeysError::NotRenewed(_)
                 | KeysError::Exists(_) => Exit::Failed,
                 _ => Exit::Usage,
             }
@@ -273,10 +308,58 @@ fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
 
 fn renew(args: &RenewArgs, format: Format) -> Result<(), KeysError> {
     let authority = Authority::open(&args.named.folder.keys)?;
+    if args.all {
+        let made = authority.renew_all(calendar(), args.days.days)?;
+        tell(made.iter().map(|(name, path)| (name, path)), args.days.days, format);
+        if made.is_empty() && format == Format::Text {
+            console::print("every name with a valid key has one of the current authority\n");
+        }
+        return Ok(());
+    }
     let Some(name) = args.named.name() else { return Ok(()) };
     let path = authority.renew(&name, calendar(), args.days.days)?;
     tell(std::iter::once((&name, &path)), args.days.days, format);
     Ok(())
+}
+
+fn rotate(args: &RotateArgs, format: Format) -> Result<(), KeysError> {
+    let authority = Authority::open(&args.folder.keys)?;
+    if args.end {
+        let end = if args.force { End::Always } else { End::IfRenewed };
+        authority.end(end, calendar())?;
+    } else {
+        authority.rotate(calendar())?;
+    }
+    let (authorities, list) = (authority.authorities()?, authority.revoked());
+    match format {
+        Format::Json => {
+            let Authorities { current, old } = authorities;
+            console::print_json(&serde_json::json!({ "current": current, "old": old, "revoked": list }));
+        }
+        Format::Text => {
+            let (name, list) = (mark(&authorities.current), list.display().to_string());
+            let text = if args.end {
+                format!(
+                    "the old authority is shut out by {list}, and its key was deleted; destroy all copies of that key\n\
+                     next: `downbeat keys push FLEET`, and copy {list} to each operator and to each robot that `push` does not reach\n"
+                )
+            } else {
+                format!(
+                    "made authority {name}, which signs all new keys; keep a copy of successor.key in a safe place\n\
+                     next: `downbeat keys push FLEET`, and copy {list} to each operator and to each robot that `push` does not reach\n\
+                     when all have it: `downbeat keys renew --all`, and copy the new keys\n\
+                     when all use their new keys: `downbeat keys rotate --end`\n"
+                )
+            };
+            console::print(&text);
+        }
+    }
+    Ok(())
+}
+
+/// Returns the part of an authority's name that distinguishes it from other authorities that `downbeat keys` made.
+fn mark(name: &str) -> &str {
+    name.rsplit(' ').next().unwrap_or(name)
 }
 
 fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, format: Format) {
@@ -363,31 +446,54 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
 fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
     let authority = Authority::open(&args.keys)?;
     let (issued, secrets) = (authority.issued()?, authority.robots_with_secret()?);
+    let authorities = authority.authorities()?;
     match format {
         Format::Json => {
-            console::print_json(&serde_json::json!({ "certificates": issued.entries(), "secrets": secrets }));
+            let Authorities { current, old } = authorities;
+            console::print_json(&serde_json::json!({
+                "certificates": issued.entries(), "secrets": secrets, "current": current, "old": old,
+            }));
         }
         Format::Text => {
             let mut rows = Rows::new(&["name", "of a", "serial", "issued", "roles", "state"], 6);
             for entry in issued.entries() {
                 let kind = if entry.kind == Kind::Robot { "robot" } else { "operator" };
                 let serial = distinct(entry, issued.entries());
+                let issuing = authorities.issuing(entry.authority.as_deref());
                 rows.add([
                     &entry.name,
                     kind,
                     serial,
                     &day(entry.issued),
                     &entry.roles.join(", "),
-                    &state(entry),
+                    &state(entry, issuing),
                 ]);
             }
             for robot in &secrets {
                 rows.add([robot.as_str(), "robot", "", "", "", "has a secret"]);
             }
             console::print(&rows.text(console::columns()));
+            if let Some(old) = &authorities.old {
+                console::print(&progress(&authorities.current, old, &authority.not_renewed(calendar())?));
+            }
         }
     }
     Ok(())
+}
+
+/// Returns how far the replacement of an authority has progressed. `left` have only a key of the old authority.
+fn progress(current: &str, old: &str, left: &[Name]) -> String {
+    let names: Vec<String> = left.iter().map(Name::to_string).collect();
+    let next = if left.is_empty() {
+        "every name has a key of the new authority; when all use it, continue with `downbeat keys rotate --end`".to_owned()
+    } else {
+        let count = counted(left.len(), "name");
+        let names = shown(&names.join(", ")).into_owned();
+        format!(
+            "{count} without a key of the new authority: {names}; continue with `downbeat keys renew --all`"
+        )
+    };
+    format!("authority {} replaces {}: {next}\n", mark(current), mark(old))
 }
 
 /// Minimum number of characters of a serial number that are listed.
@@ -409,11 +515,15 @@ fn day(seconds: i64) -> String {
     chrono::DateTime::from_timestamp(seconds, 0).map(|at| at.format("%F").to_string()).unwrap_or_default()
 }
 
-fn state(entry: &Entry) -> String {
+fn state(entry: &Entry, issuing: Issuing) -> String {
     let left = entry.expires - calendar();
     match entry.revoked {
         Some(_) => "revoked".to_owned(),
         None if left < 0 => "expired".to_owned(),
-        None => format!("valid for {} days", left / DAY),
+        None => match issuing {
+            Issuing::Current => format!("valid for {} days", left / DAY),
+            Issuing::Old => format!("valid for {} days, of the old authority", left / DAY),
+            Issuing::Ended => "its authority has ended".to_owned(),
+        },
     }
 }

@@ -13,7 +13,7 @@ use super::keys::FolderArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::{Drivers, StartPrograms};
-use crate::keys::{Authority, calendar};
+use crate::keys::{Authorities, Authority, Issuing, calendar};
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -107,6 +107,7 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
     let latest = {
         // The folder is locked while the authority is open.
         let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
+        refuse_ended(fleet, &authority.authorities().map_err(|error| error.to_string())?)?;
         authority.renew_lists(calendar()).map_err(|error| error.to_string())?;
         for (robot, protection) in protected(fleet) {
             let id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
@@ -132,6 +133,21 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
     });
     pushed.extend(answers?.into_iter().map(|answer| result(answer, (latest, bytes))));
     Ok(pushed)
+}
+
+/// Returns an error if this terminal's key is of an authority that has ended: robots would refuse it. `authorities` are those of the
+/// folder from which the list comes.
+fn refuse_ended(fleet: &Fleet, authorities: &Authorities) -> Result<(), String> {
+    let own = identity::keys(fleet).identity.and_then(|path| Credentials::read(&path).ok());
+    let Some(own) = own.as_ref().map(Credentials::identity) else { return Ok(()) };
+    let has_tls = protected(fleet).any(|(_, protection)| protection == Protection::Tls);
+    if !has_tls || authorities.issuing(Some(&own.authority)) != Issuing::Ended {
+        return Ok(());
+    }
+    Err(format!(
+        "the key of {} is of another authority than that of the list, or of one that has ended; set DOWNBEAT_IDENTITY to an identity file of the present authority",
+        own.name
+    ))
 }
 
 /// Length in bytes of a list that a robot accepts even while it plays in another operator's mission.

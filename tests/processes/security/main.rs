@@ -10,5 +10,6 @@ mod hmac;
 mod hostile;
 mod identity;
 mod revoked;
+mod rotation;
 mod seize;
 mod tls;

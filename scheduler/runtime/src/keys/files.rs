@@ -94,6 +94,8 @@ pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysErro
 
 /// Deletes a file if it exists. Returns whether it existed.
 pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     match fs::remove_file(path) {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
@@ -124,9 +126,47 @@ pub(super) fn check_private(folder: &Path, name: &str) -> Result<(), KeysError> 
 }
 
 pub(super) fn write_private(path: &Path, text: &str) -> Result<(), KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     downbeat_robot::replace(path, text.as_bytes(), 0o600).map_err(at(path))
 }
 
 pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     downbeat_robot::replace(path, text.as_bytes(), 0o644).map_err(at(path))
+}
+
+/// Interrupts changes of a folder between two writes, as if the process had been killed there.
+#[cfg(test)]
+pub(super) mod interruption {
+    use std::cell::Cell;
+    use std::io;
+    use std::path::Path;
+
+    use super::{KeysError, at};
+
+    thread_local! {
+        /// Number of writes that this thread may still do. `None` without a limit.
+        static LEFT: Cell<Option<usize>> = const { Cell::new(None) };
+    }
+
+    /// Calls `change`, and makes all its writes after the first `count` fail.
+    pub(crate) fn after<T>(count: usize, change: impl FnOnce() -> T) -> T {
+        LEFT.set(Some(count));
+        let result = change();
+        LEFT.set(None);
+        result
+    }
+
+    pub(super) fn check(path: &Path) -> Result<(), KeysError> {
+        match LEFT.get() {
+            None => Ok(()),
+            Some(0) => Err(at(path)(io::Error::other("interrupted"))),
+            Some(left) => {
+                LEFT.set(Some(left - 1));
+                Ok(())
+            }
+        }
+    }
 }

@@ -3,10 +3,12 @@
 //! Only the owner has access to the folder. It contains `authority.key`, `authority.pem`, the list of revoked certificates `revoked.pem`,
 //! and a record of all issued certificates (`issued.rs`). It also contains an identity file for each robot and operator: the private key,
 //! its certificate, and the authority's certificate. The contents of a certificate are defined in `downbeat_robot::tls`. For robots
-//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`).
+//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`). While the authority is replaced, the
+//! folder contains its successor as well (`rotation.rs`).
 
 mod files;
 mod issued;
+mod rotation;
 mod secrets;
 #[cfg(test)]
 mod tests;
@@ -33,6 +35,7 @@ use urrcp::RobotId;
 use crate::journal::private::NotPrivate;
 pub use files::file_name;
 pub use issued::{Entry, Issued, Kind};
+pub use rotation::{Authorities, End, Issuing};
 pub use secrets::IfThere;
 
 const AUTHORITY_KEY: &str = "authority.key";
@@ -104,6 +107,15 @@ pub enum KeysError {
     /// Several certificates have a serial number that begins in this way.
     #[error("several certificates have a serial number that begins with `{0}`; specify more digits")]
     AmbiguousSerial(String),
+    /// The authority is already being replaced.
+    #[error("the authority in {} is already being replaced; create the remaining keys with `downbeat keys renew --all`, then shut out the old authority with `downbeat keys rotate --end`", .0.display())]
+    Rotating(PathBuf),
+    /// The authority is not being replaced.
+    #[error("the authority in {} is not being replaced; begin with `downbeat keys rotate`", .0.display())]
+    NotRotating(PathBuf),
+    /// These names have valid certificates of the old authority, and none of the new one.
+    #[error("{} only a key of the old authority; create new ones with `downbeat keys renew --all`, or shut these out with --force", have_only(.0))]
+    NotRenewed(Vec<Name>),
     /// The certificate could not be signed.
     #[error("cannot create a certificate: {0}")]
     Signing(#[from] rcgen::Error),
@@ -122,6 +134,11 @@ fn have_keys(names: &[Name]) -> String {
 
 fn have_secrets(robots: &[RobotId]) -> String {
     have(robots.iter().map(|robot| format!("robot {robot}")), "secret")
+}
+
+fn have_only(names: &[Name]) -> String {
+    let listed: Vec<String> = names.iter().map(Name::to_string).collect();
+    format!("{} {}", listed.join(", "), if names.len() == 1 { "has" } else { "have" })
 }
 
 fn have(names: impl Iterator<Item = String>, what: &str) -> String {
@@ -154,20 +171,14 @@ impl Authority {
         }
         files::keep_out_of_git(folder)?;
         let key = KeyPair::generate()?;
-        // The name contains a mark from the key, to distinguish this authority from others.
-        let mark: String =
-            key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
-        let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
-        of_authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
-        of_authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-        let certificate = of_authority.self_signed(&key)?;
+        let certificate = authority_params(&key, now)?.self_signed(&key)?;
         files::write_private(&own.path(AUTHORITY_KEY), &key.serialize_pem())?;
         files::write_public(&own.path(AUTHORITY), &certificate.pem())?;
         own.write_revoked(&Issued::default(), now)?;
         Ok(own)
     }
 
-    /// Opens an existing authority.
+    /// Opens an existing authority. Completes changes that were interrupted.
     ///
     /// # Errors
     /// Returns [`KeysError`] if the folder contains no authority, or if its files cannot be used.
@@ -176,7 +187,9 @@ impl Authority {
             return Err(KeysError::NoAuthority(folder.into()));
         }
         files::check_private(folder, AUTHORITY_KEY)?;
-        Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
+        let own = Self { folder: folder.into(), _lock: files::lock(folder)? };
+        own.complete(calendar())?;
+        Ok(own)
     }
 
     /// Returns the record of the certificates that the authority has issued.
@@ -326,20 +339,24 @@ impl Authority {
         self.folder.join(name)
     }
 
-    fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, String), KeysError> {
-        let (key_path, path) = (self.path(AUTHORITY_KEY), self.path(AUTHORITY));
-        let damaged = |path: &Path, error: rcgen::Error| KeysError::Damaged {
+    /// Reads a key and its certificate, which can sign certificates and lists.
+    fn signer(&self, key: &str, certificate: &str) -> Result<Signer, KeysError> {
+        let (key_path, path) = (self.path(key), self.path(certificate));
+        let damaged = |path: &Path, error: String| KeysError::Damaged {
             path: path.into(),
             what: format!("invalid authority key or certificate: {error}"),
         };
-        let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
-        let certificate = files::read(&path)?;
-        let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|error| damaged(&path, error))?;
-        Ok((issuer, certificate))
+        let key = KeyPair::from_pem(&files::read(&key_path)?)
+            .map_err(|error| damaged(&key_path, error.to_string()))?;
+        let pem = files::read(&path)?;
+        let issuer =
+            Issuer::from_ca_cert_pem(&pem, key).map_err(|error| damaged(&path, error.to_string()))?;
+        let authority = tls::Authority::of_pem(&pem).map_err(|error| damaged(&path, error.to_string()))?;
+        Ok(Signer { issuer, authority, pem })
     }
 
     fn write_identity(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
-        let (issuer, authority) = self.issuer()?;
+        let (signer, old) = (self.current()?, self.old_certificate()?);
         let key = KeyPair::generate()?;
         let mut params = params(&name.to_string(), now, days)?;
         for uri in Identity::uris(name, roles) {
@@ -354,7 +371,7 @@ impl Authority {
             }
             Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
         };
-        let certificate = params.signed_by(&key, &issuer)?;
+        let certificate = params.signed_by(&key, &signer.issuer)?;
         let identity = Identity::of_certificate(certificate.der())
             .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
         let path = files::identity_path(&self.folder, name);
@@ -363,7 +380,8 @@ impl Authority {
         let mut issued = self.issued()?;
         issued.add(&identity, now);
         issued.write(&self.folder)?;
-        files::write_private(&path, &format!("{}{}{authority}", key.serialize_pem(), certificate.pem()))?;
+        let own = format!("{}{}", key.serialize_pem(), certificate.pem());
+        files::write_private(&path, &format!("{own}{}{old}", signer.pem))?;
         self.write_passes(&issued)?;
         Ok(path)
     }
@@ -382,26 +400,51 @@ impl Authority {
     }
 
     fn write_revoked(&self, issued: &Issued, now: i64) -> Result<(), KeysError> {
-        let (issuer, _) = self.issuer()?;
         let number = self.next_number(now);
-        let revoked = |(serial, at): (Vec<u8>, i64)| {
+        let mut text = self.lists_of_predecessors(issued, number, now)?;
+        let signer = self.current()?;
+        let revoked = issued.revoked_of(signer.authority.name()).collect();
+        text += &signer.list(revoked, number, now, now + LIST_DAYS * DAY)?;
+        files::write_public(&self.path(REVOKED), &text)?;
+        self.write_revoked_serials(issued, number)
+    }
+}
+
+/// A key that signs certificates and lists, with the certificate of its authority.
+struct Signer {
+    issuer: Issuer<'static, KeyPair>,
+    authority: tls::Authority,
+    /// The certificate in PEM.
+    pem: String,
+}
+
+impl Signer {
+    /// Makes a list of revoked certificates, in PEM. `revoked` contains serial numbers with the times of revocation; all times are in
+    /// seconds since 1970, UTC.
+    fn list(
+        &self,
+        revoked: Vec<(Vec<u8>, i64)>,
+        number: u64,
+        now: i64,
+        next_update: i64,
+    ) -> Result<String, KeysError> {
+        let revoked = revoked.into_iter().map(|(serial, at)| {
             Ok::<_, KeysError>(RevokedCertParams {
                 serial_number: SerialNumber::from(serial),
                 revocation_time: instant(at)?,
                 reason_code: None,
                 invalidity_date: None,
             })
-        };
+        });
         let list = CertificateRevocationListParams {
             this_update: instant(now - BACKDATED)?,
-            next_update: instant(now + LIST_DAYS * DAY)?,
+            next_update: instant(next_update)?,
             crl_number: SerialNumber::from(number),
             issuing_distribution_point: None,
-            revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
+            revoked_certs: revoked.collect::<Result<_, _>>()?,
             key_identifier_method: KeyIdMethod::Sha256,
         };
-        files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)?;
-        self.write_revoked_serials(issued, number)
+        Ok(list.signed_by(&self.issuer)?.pem()?)
     }
 }
 
@@ -435,6 +478,17 @@ pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result
             Ok(Door::Sealed(Arc::new(guard.map_err(|error| error.to_string())?)))
         }
     }
+}
+
+/// Returns the certificate of a new authority with this key.
+fn authority_params(key: &KeyPair, now: i64) -> Result<CertificateParams, KeysError> {
+    // The name contains a mark from the key, to distinguish this authority from others.
+    let mark: String = key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
+    let mut params = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
+    // An authority may introduce its successor, which issues certificates in turn.
+    params.is_ca = IsCa::Ca(BasicConstraints::Constrained(1));
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+    Ok(params)
 }
 
 fn params(common_name: &str, now: i64, days: i64) -> Result<CertificateParams, KeysError> {
