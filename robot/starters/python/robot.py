@@ -444,8 +444,9 @@ class Keys:
         signed = [found for found in listed.get_ca_certs() if found["subject"] != found["issuer"]]
         if len(signed) < listed.cert_store_stats()["x509"]:     # it would be trusted without a signature
             raise SystemExit(f"{self.path}: no other authority signed a certificate in it; expected the file that `downbeat keys` wrote")
-        self.tls.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN     # the whole chain: a list ends its own authority by containing it
-        self.tls.load_verify_locations(self.path)
+        if listed.cert_store_stats()["crl"] > 1:
+            self.tls.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN     # the whole chain: a list ends its own authority by containing it
+            self.tls.load_verify_locations(self.path)
     def invalid(self, serial, expires):
         """Why a key is not valid, or None."""
         expired = "the operator's key has expired" if expires < time.time() else None
@@ -463,7 +464,6 @@ class Keys:
             number, revoked = self.read()
             need(number >= self.number, f"{self.path}: its number {number} is smaller than {self.number}, that of the list in use")
             self.number, self.revoked = number, revoked
-            self.tls.load_verify_locations(self.path)
         except Exception as fault:
             log(f"{fault}; the previous list remains in use")
     def read(self):
