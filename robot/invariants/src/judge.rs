@@ -8,7 +8,7 @@ use urrcp::{
     Interpolation, Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
-use crate::model::{DeviceModel, Heard, Order, Party, START_LATE_MAX, Way, cancels_from};
+use crate::model::{DeviceModel, Heard, Order, Party, START_LATE_MAX, SignalMovement, cancels_from};
 use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
@@ -53,7 +53,7 @@ impl Lost {
 }
 
 /// A request and its sender.
-pub(crate) struct Asked<'a> {
+pub(crate) struct ReceivedRequest<'a> {
     link: LinkId,
     pub(crate) party: Party,
     pub(crate) request: &'a ControlRequest,
@@ -163,10 +163,15 @@ impl Judge {
                 });
             }
         }
-        self.judge(now, out, Some(&Asked { link, party, request }))
+        self.judge(now, out, Some(&ReceivedRequest { link, party, request }))
     }
 
-    fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
+    fn judge(
+        &mut self,
+        now: Now,
+        out: &[Output],
+        asked: Option<&ReceivedRequest<'_>>,
+    ) -> Result<(), Violation> {
         self.begin_untold(now);
         self.forget_the_last();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
@@ -262,9 +267,9 @@ impl Judge {
         hold_lease(order, heard, set, step)?;
         let way = match &set.motion {
             Motion::Ramp { from, to, until, .. } => {
-                Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: false }
+                SignalMovement { from: *from, since: set.due, to: *to, until: *until, is_slowing: false }
             }
-            _ => Way::at(setpoint.value, set.due),
+            _ => SignalMovement::at(setpoint.value, set.due),
         };
         device.drive(setpoint.control_type, way);
         if matches!(set.motion, Motion::Set(_)) {
@@ -365,9 +370,9 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
     })?;
     let way = match &set.motion {
         Motion::Slow { from, to, until, .. } => {
-            Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: true }
+            SignalMovement { from: *from, since: set.due, to: *to, until: *until, is_slowing: true }
         }
-        _ => Way::at(to, set.due),
+        _ => SignalMovement::at(to, set.due),
     };
     device.ways.insert(control_type, way);
     device.released.append(&mut device.guards);
@@ -376,7 +381,7 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
 
 /// Whether a motion only ends movements: a moving position stays where it is or continues in its direction, and a rate (such as a speed)
 /// changes to its value at rest.
-fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
+fn stays(device: &DeviceModel, before: Option<SignalMovement>, set: &SetValue) -> bool {
     const ROUNDING: f64 = 1e-6;
     match &set.motion {
         Motion::Rest(rest) if rest.control_type == ControlType::Position => before.is_some_and(|way| {

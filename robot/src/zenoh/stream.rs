@@ -13,7 +13,7 @@ use ::zenoh::{Session, Wait};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use urrcp::ContentHash;
 
-use super::frame::Part;
+use super::frame::TextPart;
 use super::keys::{Key, LinkId};
 use super::network::{Network, Urgency};
 use super::offers::{Offers, Text};
@@ -180,7 +180,7 @@ impl Stream {
         Ok(())
     }
 
-    async fn write_part(&self, bytes: &[u8], part: Option<Part>) -> io::Result<Written> {
+    async fn write_part(&self, bytes: &[u8], part: Option<TextPart>) -> io::Result<Written> {
         std::future::poll_fn(|context| self.0.poll_write(context, bytes, part)).await
     }
 }
@@ -202,7 +202,7 @@ impl Ends {
         &self,
         context: &Context<'_>,
         bytes: &[u8],
-        part: Option<Part>,
+        part: Option<TextPart>,
     ) -> Poll<io::Result<Written>> {
         // The frame is published before another frame can get the next number.
         let mut pipe = self.pipe.lock();

@@ -9,13 +9,13 @@ use serde_json::json;
 
 use super::{Exit, Format, console, load};
 use crate::certificate::{self, Certificate, Subject, Trial};
-use crate::journal::Asked;
+use crate::journal::OperatorChoices;
 
 /// The plan to be certified, with its fleet.
 pub(super) struct Plan<'a> {
     pub(super) choreography: &'a Choreography,
     pub(super) fleet: &'a Fleet,
-    pub(super) asked: &'a Asked,
+    pub(super) asked: &'a OperatorChoices,
     /// The index of the first act to play.
     pub(super) first_act: usize,
 }
@@ -116,7 +116,7 @@ impl CertifiedArgs {
         &self,
         choreography: &Choreography,
         fleet: &Fleet,
-        asked: &Asked,
+        asked: &OperatorChoices,
         format: Format,
     ) -> Result<(), Exit> {
         let Some(path) = &self.require_certificate else { return Ok(()) };

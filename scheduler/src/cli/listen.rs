@@ -26,9 +26,9 @@ pub(super) struct NetworkArgs {
 impl NetworkArgs {
     /// Returns the access to Zenoh. Its configuration file is named on the command line, or else in the environment, or else in the fleet
     /// file.
-    pub(super) fn way(&self, of_fleet: Option<&Path>) -> Way {
+    pub(super) fn way(&self, of_fleet: Option<&Path>) -> NetworkAccess {
         let file = identity::zenoh(self.file.as_deref());
-        Way {
+        NetworkAccess {
             file: file.or_else(|| of_fleet.map(Path::to_owned)),
             #[cfg(feature = "zenoh")]
             joined: None,
@@ -38,7 +38,7 @@ impl NetworkArgs {
 
 /// Access to a Zenoh network. The network is joined when a robot first needs it.
 #[derive(Debug)]
-pub(super) struct Way {
+pub(super) struct NetworkAccess {
     #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
     file: Option<PathBuf>,
     #[cfg(feature = "zenoh")]
@@ -59,7 +59,7 @@ impl Listening {
         place: &str,
         robot: &RobotId,
         guard: &GuardArgs,
-        way: &mut Way,
+        way: &mut NetworkAccess,
     ) -> Result<Self, String> {
         if place.starts_with(ZENOH) {
             let Ok(Address::Zenoh { key }) = place.parse() else {
@@ -100,7 +100,7 @@ impl Listening {
 }
 
 #[cfg(feature = "zenoh")]
-impl Way {
+impl NetworkAccess {
     /// Listens at a key of the Zenoh network. `anyone` is true if the operator accepts that anyone on the network could drive the robot.
     pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
         let networks = match &self.joined {
@@ -128,7 +128,7 @@ impl Way {
 }
 
 #[cfg(not(feature = "zenoh"))]
-impl Way {
+impl NetworkAccess {
     pub(super) async fn listen(&mut self, _: &str, _: bool) -> Result<Listening, String> {
         Err(crate::link::NOT_BUILT.to_owned())
     }

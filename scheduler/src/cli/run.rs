@@ -28,7 +28,7 @@ use super::traces::{Traces, TracesArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::certificate;
 use crate::fleet::{self, Drivers, StartPrograms};
-use crate::journal::{self, Asked, Missions, Opened};
+use crate::journal::{self, Missions, Opened, OperatorChoices};
 use crate::mission::{FixedStart, FixedStarts, Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{HostWakeUp, Outcome, Report};
@@ -294,7 +294,7 @@ struct Prepared<'a> {
 #[derive(Clone)]
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
-    asked: Asked,
+    asked: OperatorChoices,
     how: &'a HowArgs,
     certified: &'a CertifiedArgs,
     realtime: RealtimeArgs,

@@ -6,7 +6,7 @@ use urrcp::{ControlType, Limits, Span};
 
 use super::perform::{Fault, OnDevice, snaps};
 use crate::fields::Reader;
-use crate::finding::{Code, Part, Place};
+use crate::finding::{Code, PathStep, Place};
 use crate::fleet::limits_of;
 use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Change, Changed, Track, Vectors};
@@ -149,8 +149,8 @@ fn beyond(limits: &Limits, value: f64) -> f64 {
 /// Returns the name of the parameter if `place` is that of a parameter's argument.
 fn parameter(place: &Place) -> Option<&str> {
     match place.path.last()? {
-        Part::Key(name, _) => Some(name),
-        Part::Index(_) => None,
+        PathStep::Key(name, _) => Some(name),
+        PathStep::Index(_) => None,
     }
 }
 
@@ -330,7 +330,7 @@ pub(super) fn named(track: &Track, item: u32) -> String {
     match track.item(item) {
         (_, None, _) => String::new(),
         (items, Some(own), place) => match (track.given(item), place.path.as_slice()) {
-            (Some(_), [Part::Key(kind, _), Part::Key(name, _), ..]) if kind == "moves" => {
+            (Some(_), [PathStep::Key(kind, _), PathStep::Key(name, _), ..]) if kind == "moves" => {
                 format!("{} {} of the move `{}`: ", items.one(), own + 1, shortened(name))
             }
             _ => format!("{} {}: ", items.one(), own + 1),

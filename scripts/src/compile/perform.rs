@@ -11,7 +11,7 @@ use urrcp::{ControlParameters, ControlType, Device, Limits, RobotId, Span};
 
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
-use super::segment::{Excess, Part, Segment, Steps};
+use super::segment::{Excess, Segment, Steps, TrackSteps};
 use super::vectors::{self, Thinned};
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
@@ -282,7 +282,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         classes
     }
 
-    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<Part> {
+    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<TrackSteps> {
         if self.steps.is_overdrawn() {
             return None;
         }
@@ -312,7 +312,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.check_beginning(on, &actuator, curve);
         curve.knots.first()?;
         let part = self.fitted(on, &actuator, &played, sound)?;
-        Some(Part { factor_max, ..part })
+        Some(TrackSteps { factor_max, ..part })
     }
 
     /// Fits steps to a movement: as few as the tolerance permits or, if the track sets a number of steps, those with the least error.
@@ -323,7 +323,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         actuator: &Actuator<'_>,
         played: &Played<'_>,
         sound: bool,
-    ) -> Option<Part> {
+    ) -> Option<TrackSteps> {
         let own = actuator.tolerance();
         // A movement outside the limits cannot be approximated by steps within them, and finding the best approximation takes long.
         let widened = actuator.limits.map(|limits| Limits { min_value: -FAR, max_value: FAR, ..*limits });
@@ -360,7 +360,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 hint: Some(format!("add `tolerance: {needed}` to the track, if this error is acceptable")),
             });
         }
-        Some(Part {
+        Some(TrackSteps {
             control_type: actuator.control_type,
             // That a movement has no first value is already reported.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
@@ -508,7 +508,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         control_type: ControlType,
         vectors: &Vectors,
         stretch: Stretch,
-    ) -> Option<Part> {
+    ) -> Option<TrackSteps> {
         if !matches!(control_type, ControlType::Custom(_))
             && vectors.iter().any(|vector| vector.values.len() > 1)
         {
@@ -527,7 +527,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         if let Some(most) = most.filter(|most| steps.len() > *most || worst > allowed) {
             self.too_few_steps(on, most, steps.len(), (worst, worst_at), allowed);
         }
-        Some(Part {
+        Some(TrackSteps {
             control_type,
             length: steps.last().map_or(Span::ZERO, |last| last.at),
             at_least: steps.len(),

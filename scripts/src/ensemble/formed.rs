@@ -2,15 +2,15 @@
 
 use std::cmp::Ordering;
 
-use super::{Asked, Axis, Dancer, Fault, Form, Ground, LEVEL, Moved, Spare, Target, Thin};
+use super::{Axis, Dancer, Fault, Form, Ground, GroupTask, LEVEL, Moved, Spare, Target, Thin};
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
 use crate::shown::shortened;
-use crate::transit::{self, Refused, Way};
+use crate::transit::{self, Refused, Route};
 
 /// Returns the movement of each robot into a formation.
 pub(super) fn formed(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     form: &Form,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
@@ -109,7 +109,7 @@ fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
 }
 
 fn bodies(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     dancers: &[Dancer<'_>],
     goals: &[Point],
     ground: Ground<'_>,
@@ -160,7 +160,7 @@ fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
 }
 
 impl Moved {
-    fn of_way(way: &Way, dancer: &Dancer<'_>, error_share: f64) -> Self {
+    fn of_way(way: &Route, dancer: &Dancer<'_>, error_share: f64) -> Self {
         let lifts = [0.0, 0.0, 4.0 * way.lift];
         let axes = std::array::from_fn(|axis| {
             let (from, lift) = (way.from[axis], lifts[axis]);

@@ -30,13 +30,13 @@ const LEVEL: f64 = 1e-9;
 
 /// What a cue asks of its group: the movement, and the permitted error.
 #[derive(Clone, Copy)]
-pub(crate) struct Asked<'a> {
+pub(crate) struct GroupTask<'a> {
     pub(crate) together: &'a Together,
     /// Permitted error of steps, in units of the devices; `None` if the cue does not set one.
     pub(crate) tolerance: Option<f64>,
 }
 
-impl Asked<'_> {
+impl GroupTask<'_> {
     /// Returns the duration of each robot's movement, in seconds.
     fn seconds(&self) -> f64 {
         self.together.over.as_millis_f64() / 1_000.0
@@ -117,7 +117,7 @@ pub(crate) enum Fault {
 /// # Errors
 /// Returns the fault that prevents the movements.
 pub(crate) fn ways(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
 ) -> Result<Vec<Moved>, Fault> {

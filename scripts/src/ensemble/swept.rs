@@ -1,13 +1,13 @@
 //! A group that moves as one body: it turns, grows, shifts or follows a path.
 
 use super::along::{Carrier, carrier};
-use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
+use super::{Axis, Dancer, Fault, Ground, GroupTask, LEVEL, Moved, Sweep};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
 
 /// Returns the movement of each robot when the group moves as one body.
 pub(super) fn swept(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     sweep: &Sweep,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
@@ -86,7 +86,7 @@ struct Needed {
 }
 
 impl Needed {
-    fn of(rates: &Rates, dancer: &Dancer<'_>, asked: Asked<'_>, ground: Ground<'_>) -> Self {
+    fn of(rates: &Rates, dancer: &Dancer<'_>, asked: GroupTask<'_>, ground: Ground<'_>) -> Self {
         let limits = dancer.limits(ground.fleet);
         let (speed, acceleration) = rates.body;
         let own = rates.own.iter().zip(limits.axes);

@@ -10,7 +10,7 @@ use super::{Items, Motion, Track, Vector, Vectors, data, formulas, nothing};
 use crate::duration::parse_duration;
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Part};
+use crate::finding::{Code, PathStep};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node, Rows, Width};
 use crate::shown::shortened;
@@ -355,7 +355,7 @@ fn in_order(
     at: Span,
 ) -> bool {
     if let Some(before) = before.filter(|before| at <= *before) {
-        let place = list.place().below(Part::Index(index)).of_key("at");
+        let place = list.place().below(PathStep::Index(index)).of_key("at");
         let message = format!("the {} at {at} is not later than the previous one at {before}", items.one());
         let hint =
             Some(format!("sort the {}s of a track by time, each later than the previous one", items.one()));
@@ -525,11 +525,11 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     }
     let place = at.place();
     let hint = Some(match place.path.last() {
-        Some(Part::Key(key, _)) if key == "period" => {
+        Some(PathStep::Key(key, _)) if key == "period" => {
             "write the duration of a cycle, as in `period: 2s`; use a keyframe for a constant value"
                 .to_owned()
         }
-        Some(Part::Key(key, _)) => format!("add the duration, as in `{}: 8s`", shortened(key)),
+        Some(PathStep::Key(key, _)) => format!("add the duration, as in `{}: 8s`", shortened(key)),
         _ => "write a duration such as `8s`".to_owned(),
     });
     reader.add(Code::BadMotion, place, "a movement of length 0", "a time above 0", hint);

@@ -8,11 +8,12 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
 use super::document::{
-    Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
+    Clock, Device, DeviceSeries, DocumentKind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script,
+    VERSION,
 };
 use super::events;
 use super::planned::{self, Places};
-use super::played::{Epoch, Phases, Told, finished};
+use super::played::{Epoch, Phases, TimedProgress, finished};
 use super::written::Written;
 use crate::history::{Fate, History, HistorySource, KnownRobot, PlannedStep, over};
 use downbeat_rehearsal::dry_run::act_of;
@@ -40,8 +41,8 @@ impl History {
             version: VERSION,
             program: super::PROGRAM,
             kind: match self.source {
-                HistorySource::Journal => Kind::Journal,
-                HistorySource::Recording => Kind::Recording,
+                HistorySource::Journal => DocumentKind::Journal,
+                HistorySource::Recording => DocumentKind::Recording,
             },
             cut_off: self.cut_off.clone(),
             scenario: self.scenario.clone().unwrap_or_default(),
@@ -311,7 +312,7 @@ fn lanes_of(robot: &KnownRobot, act: &Sent<'_>, places: &Places, columns: &mut C
 fn robots(
     act: &Sent<'_>,
     report: Option<&ActReport>,
-    told: &[Told],
+    told: &[TimedProgress],
     (places, epoch): (&Places, Epoch),
 ) -> Vec<PlayedRobot> {
     let robot = |id: &RobotId| {

@@ -54,7 +54,7 @@ pub struct Opened {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
     /// The operator's other choices: acts, robots, speed and approach.
-    pub asked: Asked,
+    pub asked: OperatorChoices,
     /// SHA-256 of the plan, as in certificates. `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
@@ -124,7 +124,7 @@ pub struct OpenedRobot {
 
 /// The operator's changes to the choreography for this mission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Asked {
+pub struct OperatorChoices {
     /// The only act to play. `None` for all acts.
     pub act: Option<String>,
     /// The act to start with. `None` for the first act.

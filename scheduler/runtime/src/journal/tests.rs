@@ -18,7 +18,7 @@ fn opened() -> Opened {
         fleet: "fleet.yaml".into(),
         folder: Some("/show".into()),
         project: None,
-        asked: Asked { speed: Some(0.5), ..Asked::default() },
+        asked: OperatorChoices { speed: Some(0.5), ..OperatorChoices::default() },
         plan_hash: Some(urrcp::Command::ReadSensor.content_hash()),
         fixed: FixedStarts::default(),
         greeting: Greeting::Full,

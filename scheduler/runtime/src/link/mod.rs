@@ -14,7 +14,7 @@ mod tcp;
 use std::sync::Arc;
 use std::time::Duration;
 
-pub(crate) use budget::{Asked, Budget};
+pub(crate) use budget::{Budget, SharedAllowance};
 #[cfg(not(feature = "zenoh"))]
 pub use by_key::NOT_BUILT;
 pub use by_key::Network;
@@ -129,7 +129,7 @@ struct Peer {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OfRobot {
     /// How much the robot may still send, on all its links together.
-    pub(crate) asked: Asked,
+    pub(crate) asked: SharedAllowance,
     /// The scripts that this robot and others receive.
     pub(crate) shared: SharedScripts,
     pub(crate) long_upload: LongUpload,

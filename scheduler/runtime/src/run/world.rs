@@ -10,7 +10,7 @@ use urrcp::{Message, RobotId, Server, Span, Timestamp};
 use super::Keep;
 use super::watch::Watches;
 use crate::journal::{Journal, News, Writer};
-use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
+use crate::link::{Endpoint, Link, OfRobot, SharedAllowance, SharedScripts, Waiting};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Operator, Passage, StopLane};
@@ -265,7 +265,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 /// Returns the shared state of each robot. A robot may still report on scripts that another process has sent to some of its devices.
 fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     let of = |(robot, shared): (usize, SharedScripts)| {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
         OfRobot { asked, shared, ..OfRobot::default() }
     };

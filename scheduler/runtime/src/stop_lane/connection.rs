@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, over};
+use crate::link::{Budget, Endpoint, LinkEncoding, ReadEnd, SharedAllowance, WriteEnd, over};
 #[cfg(feature = "zenoh")]
 use crate::link::{Purpose, Reach};
 use crate::server_clock::ServerClock;
@@ -36,7 +36,7 @@ pub(super) struct Bytes {
     decoder: Decoder,
     bytes: Vec<u8>,
     clock: ServerClock,
-    asked: Asked,
+    asked: SharedAllowance,
     budget: Budget,
     /// Whether the last message was written only in part, so that the robot cannot decode further messages.
     torn: bool,
@@ -46,7 +46,7 @@ impl Connection {
     /// Connects to the robot. `known` is the robot's resolved address, so that a stop does not wait for a name server.
     pub(super) async fn open(
         endpoint: &Endpoint,
-        (clock, asked): (ServerClock, &Asked),
+        (clock, asked): (ServerClock, &SharedAllowance),
         known: &mut Option<SocketAddr>,
     ) -> io::Result<Self> {
         match endpoint {
@@ -79,7 +79,7 @@ impl Connection {
     fn of(
         (reader, writer): (ReadEnd, WriteEnd),
         encoding: &LinkEncoding,
-        (clock, asked): (ServerClock, &Asked),
+        (clock, asked): (ServerClock, &SharedAllowance),
     ) -> Self {
         Self::Bytes(Box::new(Bytes {
             reader,

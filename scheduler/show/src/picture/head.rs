@@ -27,7 +27,7 @@ pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, heigh
 }
 
 /// Draws the legend: a sample of each kind of drawing in the picture, with its meaning.
-pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
+pub(super) fn legend(svg: &mut String, y: f64, kinds: &[DrawingKind]) {
     let mut x = 14.0;
     for kind in kinds {
         let (sample, meaning, width) = kind.entry();
@@ -41,7 +41,7 @@ pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
 
 /// A kind of drawing that the legend explains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum DrawingKind {
     Cue,
     Critical,
     Planned,
@@ -49,7 +49,7 @@ pub(super) enum Kind {
     Set,
 }
 
-impl Kind {
+impl DrawingKind {
     /// Returns the entry of the legend for this kind: a sample in SVG, its meaning, and the width of both in pixels.
     const fn entry(self) -> (&'static str, &'static str, f64) {
         match self {

@@ -15,7 +15,7 @@ use downbeat_mission::{
 use downbeat_rehearsal::world::Virtual;
 use downbeat_runtime::journal::simulated::SimulatedDisk;
 use downbeat_runtime::journal::{
-    Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
+    Contents, Journal, Opened, OpenedKeys, OpenedRobot, OperatorChoices, WAITING_MAX, append_all,
 };
 
 /// State of the scheduler's process.
@@ -106,7 +106,7 @@ impl Scheduler {
             fleet: "soak".into(),
             folder: None,
             project: None,
-            asked: Asked::default(),
+            asked: OperatorChoices::default(),
             plan_hash: None,
             fixed: downbeat_mission::FixedStarts::default(),
             greeting: Greeting::Full,

@@ -12,7 +12,7 @@ use crate::compile::check_values;
 use crate::compile::overlap::overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
-use crate::ensemble::{self, Action, Asked, Axis, Dancer, Fault, Moved, Together};
+use crate::ensemble::{self, Action, Axis, Dancer, Fault, GroupTask, Moved, Together};
 use crate::exact::Exact;
 use crate::finding::{Code, Pending};
 use crate::fleet::settable_limits;
@@ -128,7 +128,7 @@ impl<'a> Performer<'_, 'a> {
         if is_formed && self.tell_moving(grouped, &dancers, |_, _| true) {
             return false;
         }
-        let asked = Asked { together: group, tolerance: cue.tolerance };
+        let asked = GroupTask { together: group, tolerance: cue.tolerance };
         let rehearsed = cue.rehearsed.as_ref().and_then(|rehearsed| rehearsed.of(&dancers));
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
             Ok(ways) => {
@@ -170,7 +170,7 @@ impl<'a> Performer<'_, 'a> {
         let Fault::TooShort { seconds, .. } = fault else { return false };
         let Grouped { cue, group, .. } = grouped;
         let longer = Together { over: fixes::up(*seconds), ..group.clone() };
-        let asked = Asked { together: &longer, tolerance: cue.tolerance };
+        let asked = GroupTask { together: &longer, tolerance: cue.tolerance };
         let Ok(ways) = ensemble::ways(asked, dancers, ground.of_scenario) else { return false };
         let before = self.findings.found.len();
         for (dancer, moved) in dancers.iter().zip(&ways) {

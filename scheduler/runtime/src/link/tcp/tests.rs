@@ -218,7 +218,7 @@ async fn link_occupies_at_most_its_places_in_the_queue() {
     let (host, port) = ("127.0.0.1".to_owned(), listener.local_addr().unwrap().port());
     let (events, mut happened) = mpsc::channel(10_000);
     let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security: Security::Plain };
-    let (asked, clock) = (crate::link::Asked::default(), ServerClock::anchored(Span::ZERO));
+    let (asked, clock) = (crate::link::SharedAllowance::default(), ServerClock::anchored(Span::ZERO));
     let of = (0, LinkNumber(0));
     let of_robot = crate::link::OfRobot { asked, ..Default::default() };
     let _link = Link::open_beside_others(of, (endpoint, of_robot), clock, events, Duration::ZERO);

@@ -7,7 +7,7 @@ use urrcp::{ControlType, Span};
 use super::Ground;
 use crate::duration::written;
 use crate::ensemble::{
-    self, Action, Asked, Axis, Dancer, Fault, Form, Moved, Sweep, Target, Together, WrittenFormation,
+    self, Action, Axis, Dancer, Fault, Form, GroupTask, Moved, Sweep, Target, Together, WrittenFormation,
 };
 use crate::fleet::limits_of;
 use crate::formation::{Formation, Point};
@@ -242,7 +242,7 @@ impl<'f> Fixes<'f> {
     ) -> Option<Result<Vec<Moved>, Fault>> {
         self.left = self.left.checked_sub(1)?;
         let ground = ensemble::Ground { formations, ..self.ground.of_scenario };
-        let asked = Asked { together, tolerance: self.cue.tolerance };
+        let asked = GroupTask { together, tolerance: self.cue.tolerance };
         let ways = ensemble::ways(asked, dancers, ground);
         Some(ways.and_then(|ways| if self.are_within(&ways) { Ok(ways) } else { Err(Fault::ToldElsewhere) }))
     }
