@@ -14,7 +14,7 @@ use std::collections::{HashMap, HashSet};
 use self::keys::Keys;
 use crate::scope::Scope;
 use crate::slips::{self, Units};
-use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
+use cut::{cut_in_brackets, decimal_comma, numbers_alone};
 use downbeat_motion::exact::{Beginning, Exact};
 use downbeat_motion::music::{Music, NoMusicalLength};
 pub use downbeat_yaml::at::At;
@@ -412,10 +412,10 @@ impl Reader {
             if index < skipped {
                 continue;
             }
-            if let Some(number) = before.and_then(|before| cut_by_comma(before, key, node)) {
+            if let Some((key, whole)) = before.and_then(|before| decimal_comma(before, key, node)) {
                 let others: Vec<&str> = numbers_alone(&entries[index..]);
                 skipped = index + others.len();
-                self.cut_by_comma(at, number, &others);
+                self.report_decimal_comma(at, key, &whole, &others);
                 continue;
             }
             if open.is_some() || before.is_some_and(|before| cut_in_brackets(before, node).is_some()) {

@@ -113,7 +113,8 @@ fn circle(
         .map(|(cue, relation)| {
             let edit = edit(
                 &teller.in_its_file(cue, relation),
-                (relation.min, relation.max.filter(|_| relation.min == relation.max)),
+                relation.min,
+                relation.max.filter(|_| relation.min == relation.max),
             );
             format!("`{edit}` of {}", teller.name(cue))
         })
@@ -281,7 +282,7 @@ impl Teller<'_> {
             Bound::Min => (Some(new), relation.max),
             Bound::Max => (relation.min, Some(new)),
         };
-        let edit = edit(&self.in_its_file(cue, relation), (min, max));
+        let edit = edit(&self.in_its_file(cue, relation), min, max);
         let by = written(by);
         if relation.from == Anchor::Origin {
             return match (link.bound, fixed) {
@@ -309,7 +310,7 @@ fn is_written(relation: &Relation) -> bool {
 }
 
 /// Returns the key and value of a relation with other bounds, as written in a file.
-fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
+fn edit(relation: &Relation, min: Option<Span>, max: Option<Span>) -> String {
     let of_key = |part: &PathStep| match part {
         PathStep::Key(key, _) => Some(key.clone()),
         PathStep::Index(_) => None,

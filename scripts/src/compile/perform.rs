@@ -76,6 +76,17 @@ pub(super) struct OnDevice<'p> {
     ids: OnceCell<Arc<[RobotId]>>,
 }
 
+/// A movement that does not stay within its tolerance with at most `most` steps.
+struct TooFew {
+    most: usize,
+    /// The number of steps that the movement needs; at most `most` if that many steps are possible, but too inaccurate.
+    needed: usize,
+    /// The largest error with `most` steps, and its time.
+    worst: f64,
+    worst_at: Span,
+    allowed: f64,
+}
+
 /// A fault in the movement of a device.
 pub(super) struct Fault {
     pub(super) code: Code,
@@ -91,7 +102,8 @@ pub(super) struct Fault {
 impl<'p> OnDevice<'p> {
     fn new(
         cue: &'p Cue,
-        (track, device): (&'p Track, &'p Device),
+        track: &'p Track,
+        device: &'p Device,
         robots: &'p [usize],
         cast: &'p Cast<'p>,
     ) -> Self {
@@ -225,7 +237,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         for track in &cue.movement_of(first).tracks {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
-                let on = OnDevice::new(cue, (track, class.device), &robots, self.cast);
+                let on = OnDevice::new(cue, track, class.device, &robots, self.cast);
                 let part = if self.uses.is_overdrawn() { None } else { self.part(&on, time.stretch) };
                 let Some(part) = part.filter(|_| self.used(cue, class.members.len())) else {
                     self.incomplete.extend(robots);
@@ -342,7 +354,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         if let Some(most) = steps_max {
             let allowed = on.track.tolerance.unwrap_or(own);
             if fitted.steps.len() > most || fitted.worst > allowed * (1.0 + 1e-9) {
-                self.too_few_steps(on, most, fitted.steps.len(), (fitted.worst, fitted.worst_at), allowed);
+                let (worst, worst_at) = (fitted.worst, fitted.worst_at);
+                self.too_few_steps(on, TooFew { most, needed: fitted.steps.len(), worst, worst_at, allowed });
             }
         } else if let Some(needed) = fitted.needed.filter(|_| sound) {
             let needed = self.enough(actuator, played, thinned, needed);
@@ -414,17 +427,11 @@ impl<'c, 'a> Performer<'c, 'a> {
         sound
     }
 
-    fn too_few_steps(
-        &mut self,
-        on: &OnDevice<'_>,
-        most: usize,
-        steps: usize,
-        (worst, worst_at): (f64, Span),
-        allowed: f64,
-    ) {
+    fn too_few_steps(&mut self, on: &OnDevice<'_>, fault: TooFew) {
+        let TooFew { most, needed, worst, worst_at, allowed } = fault;
         let place = on.track.place.clone();
-        if steps > most {
-            let message = format!("the movement needs at least {steps} steps");
+        if needed > most {
+            let message = format!("the movement needs at least {needed} steps");
             let hint = Some("allow more steps, or remove keyframes".to_owned());
             self.findings.add(
                 Code::ToleranceTooTight,
@@ -525,7 +532,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         let Thinned { steps, worst, worst_at } = vectors::thinned(on, vectors, stretch);
         let (most, allowed) = (on.track.steps_max.map(|most| most as usize), vectors::tolerance(on));
         if let Some(most) = most.filter(|most| steps.len() > *most || worst > allowed) {
-            self.too_few_steps(on, most, steps.len(), (worst, worst_at), allowed);
+            self.too_few_steps(on, TooFew { most, needed: steps.len(), worst, worst_at, allowed });
         }
         Some(TrackSteps {
             control_type,

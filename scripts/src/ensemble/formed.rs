@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use super::{Axis, Dancer, Fault, Form, Ground, GroupTask, LEVEL, Moved, Spare, Target, Thin};
+use super::{Axis, Dancer, DancerMovement, Fault, Form, Ground, GroupTask, LEVEL, Spare, Target, Thin};
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
 use crate::shown::shortened;
@@ -14,7 +14,7 @@ pub(super) fn formed(
     form: &Form,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
-) -> Result<Vec<Moved>, Fault> {
+) -> Result<Vec<DancerMovement>, Fault> {
     let (goals, own) = match &form.to {
         Target::Home => (homes(dancers)?, true),
         Target::Formation(name) => {
@@ -41,7 +41,7 @@ pub(super) fn formed(
         .zip(&crossed.errors)
         .map(|(body, error)| if *error < body.error { error / body.error } else { 1.0 });
     let ways = crossed.ways.iter().zip(shares).zip(dancers);
-    Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
+    Ok(ways.map(|((way, share), dancer)| DancerMovement::of_way(way, dancer, share)).collect())
 }
 
 /// Returns the places of a formation; empty if the target is home. If there are fewer places than robots, the cue must set the key
@@ -159,7 +159,7 @@ fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     places
 }
 
-impl Moved {
+impl DancerMovement {
     fn of_way(way: &Route, dancer: &Dancer<'_>, error_share: f64) -> Self {
         let lifts = [0.0, 0.0, 4.0 * way.lift];
         let axes = std::array::from_fn(|axis| {

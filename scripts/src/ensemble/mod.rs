@@ -45,7 +45,7 @@ impl GroupTask<'_> {
 
 /// The movement of one robot of a group.
 #[derive(Clone, Debug)]
-pub(crate) struct Moved {
+pub(crate) struct DancerMovement {
     /// Start of the movement since the cue's start, in seconds.
     pub(crate) begin: f64,
     pub(crate) length: f64,
@@ -56,7 +56,7 @@ pub(crate) struct Moved {
     pub(crate) error_share: f64,
 }
 
-impl Moved {
+impl DancerMovement {
     /// Returns the robot's place at the end of the movement, in metres.
     pub(crate) fn end(&self) -> Point {
         self.axes.each_ref().map(|swept| Function::Swept(Box::new(swept.clone())).at(1.0))
@@ -120,7 +120,7 @@ pub(crate) fn ways(
     asked: GroupTask<'_>,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
-) -> Result<Vec<Moved>, Fault> {
+) -> Result<Vec<DancerMovement>, Fault> {
     if dancers.len() > GROUP_MAX {
         return Err(Fault::TooMany);
     }
@@ -145,16 +145,16 @@ pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> 
 #[derive(Clone, Debug)]
 pub(crate) struct Rehearsed {
     from: Vec<(usize, f64, Point)>,
-    ways: Arc<Result<Vec<Moved>, Fault>>,
+    ways: Arc<Result<Vec<DancerMovement>, Fault>>,
 }
 
 impl Rehearsed {
-    pub(crate) fn new(dancers: &[Dancer<'_>], ways: Result<Vec<Moved>, Fault>) -> Self {
+    pub(crate) fn new(dancers: &[Dancer<'_>], ways: Result<Vec<DancerMovement>, Fault>) -> Self {
         Self { from: dancers.iter().map(Dancer::begin).collect(), ways: Arc::new(ways) }
     }
 
     /// Returns the computed movements if `dancers` begin at the places and times for which the movements were computed; `None` otherwise.
-    pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<Moved>, Fault>> {
+    pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<DancerMovement>, Fault>> {
         let same = self.from.iter().copied().eq(dancers.iter().map(Dancer::begin));
         same.then(|| (*self.ways).clone())
     }

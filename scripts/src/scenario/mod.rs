@@ -528,7 +528,7 @@ fn shared<'a>(
     let included = documents.nodes.iter().zip(&documents.names).zip(&documents.plain);
     for (file, ((node, name), place)) in (0u16..).zip(included).skip(1) {
         if let Some(place) = place {
-            library.include(reader, node, file, (name, place));
+            library.include(reader, node, file, name, place);
         }
     }
     library.add(reader, keys.include, &keys.parts());

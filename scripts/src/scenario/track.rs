@@ -310,7 +310,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
             depends.extend(value_of(&at_item).and_then(|to| Some((item(index), given(reader, &to)?))));
             let before = knots.last().map(|last| last.at);
             // Wrong order is a single fault.
-            if in_order(reader, at, (Items::Keyframes, index), before, knot.at) {
+            if in_order(reader, at, Items::Keyframes, index, before, knot.at) {
                 knots.push(knot);
             }
         }
@@ -323,7 +323,7 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
     let length = rows.iter().last().map_or(Exact::ZERO, |row| row.at.into());
     let mut before = None;
     let mut checked = |index: usize, at: Span| {
-        in_order(reader, list, (Items::Keyframes, index), before, at);
+        in_order(reader, list, Items::Keyframes, index, before, at);
         before = Some(at);
     };
     let motion = match rows.width() {
@@ -350,7 +350,8 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
 fn in_order(
     reader: &mut Reader,
     list: &At<'_>,
-    (items, index): (Items, usize),
+    items: Items,
+    index: usize,
     before: Option<Span>,
     at: Span,
 ) -> bool {
@@ -410,7 +411,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let (Some(time), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
         let at = reader.music.start.lay(time);
         length = time;
-        if in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at) {
+        if in_order(reader, list, Items::Keyframes, index, vectors.last().map(|last| last.at), at) {
             vectors.push(Vector { at, values: &values, item: item(index) });
         }
     }
@@ -431,7 +432,7 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, 
         let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
         // Points out of order are reported and left out of the curve.
-        if in_order(reader, at, (Items::Points, index), before, time) {
+        if in_order(reader, at, Items::Points, index, before, time) {
             knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
             length = exact;
         }

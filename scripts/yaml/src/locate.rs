@@ -162,8 +162,8 @@ impl LineStarts {
         let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
         let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
         let begin = start + ahead.map(char::len_utf8).sum::<usize>();
-        let wanted = (within.from, within.from + within.width);
-        let Some((from, to)) = offsets(&text[begin..], &within.text, wanted) else { return spot };
+        let end = within.from + within.width;
+        let Some((from, to)) = offsets(&text[begin..], &within.text, within.from, end) else { return spot };
         let (from, to) = (begin + from, begin + to);
         let line = self.0.partition_point(|start| *start <= from);
         let own = self.0.get(line.saturating_sub(1)).copied().unwrap_or(start);
