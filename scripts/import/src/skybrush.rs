@@ -16,6 +16,7 @@ use downbeat_yaml::source::Source;
 use super::archive::Archive;
 use super::input::Input;
 use super::light_program::{self, Color, Lights};
+use super::malformed::Malformed;
 use super::sink::Sink;
 use super::{
     Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
@@ -80,11 +81,11 @@ pub(super) fn read(
 ) -> Vec<Motion> {
     let archive = match Archive::new(bytes) {
         Ok(archive) => archive,
-        Err(message) => {
+        Err(fault) => {
             sink.about(
                 name,
                 Code::Unreadable,
-                message,
+                fault.to_string(),
                 "a compiled Skybrush show, a ZIP archive with `show.json`",
                 None,
             );
@@ -234,11 +235,11 @@ impl Show<'_> {
         let name = format!("{}/{file}", self.name);
         let bytes = match self.archive.file(file) {
             Ok(bytes) => bytes,
-            Err(message) => {
+            Err(fault) => {
                 let known: Vec<String> = self.archive.names().take(6).collect();
                 let known = names(known.iter().map(String::as_str));
                 let hint = Some(format!("the archive contains {known}")).filter(|_| !known.is_empty());
-                sink.about(&name, Code::Unreadable, message, "a file of the show", hint.as_deref());
+                sink.about(&name, Code::Unreadable, fault.to_string(), "a file of the show", hint.as_deref());
                 return None;
             }
         };
@@ -526,11 +527,18 @@ fn read_lights(at: &At<'_>, end_ms: u64, findings: &mut Reader) -> Option<Lights
         findings.wrong_type(&data, "a base64 text");
         return None;
     };
-    let bytes = STANDARD.decode(text.trim()).map_err(|error| format!("this is not base64: {error}"));
+    let decoded = STANDARD.decode(text.trim());
+    let bytes = decoded.map_err(|error| Malformed::from(format!("this is not base64: {error}")));
     match bytes.and_then(|bytes| light_program::play(&bytes, end_ms)) {
         Ok(lights) => Some(lights),
-        Err(message) => {
-            findings.add(Code::ImportShape, data.place(), message, "a Skybrush light program", None);
+        Err(fault) => {
+            findings.add(
+                Code::ImportShape,
+                data.place(),
+                fault.to_string(),
+                "a Skybrush light program",
+                None,
+            );
             None
         }
     }
