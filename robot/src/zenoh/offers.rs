@@ -101,7 +101,8 @@ impl Offers {
     pub(super) fn offer(
         &self,
         network: &Network,
-        (audience, hash): (Audience, ContentHash),
+        audience: Audience,
+        hash: ContentHash,
         text: impl FnOnce() -> Vec<u8>,
     ) -> Option<Text> {
         let mut offered = self.lock();

@@ -114,7 +114,8 @@ impl Stream {
     pub(super) fn new(
         network: Network,
         pipe: Shared,
-        (link, target): (LinkId, Arc<Target>),
+        link: LinkId,
+        target: Arc<Target>,
         haste: Urgency,
     ) -> Self {
         let (kept, hears) = (Mutex::default(), OnceLock::new());
@@ -148,13 +149,9 @@ impl Stream {
     /// [`Stream::write_with`]. Returns `None` if this robot receives no such texts, or if the text is longer than 4 MiB; the caller must
     /// then write the text itself.
     #[must_use]
-    pub fn offer(
-        &self,
-        (audience, hash): (u32, ContentHash),
-        text: impl FnOnce() -> Vec<u8>,
-    ) -> Option<Text> {
+    pub fn offer(&self, audience: u32, hash: ContentHash, text: impl FnOnce() -> Vec<u8>) -> Option<Text> {
         let (_, offers) = self.0.hears.get()?;
-        offers.offer(&self.0.network, (audience, hash), text)
+        offers.offer(&self.0.network, audience, hash, text)
     }
 
     /// Writes `bytes`, and inserts texts that were offered by [`Stream::offer`]. Each text is inserted before its position in `bytes`;
@@ -195,7 +192,7 @@ impl Stream {
 
 impl Ends {
     fn publish(&self, frame: Vec<u8>) {
-        self.network.publish(self.haste, (self.link, self.target.clone()), frame, &self.pipe);
+        self.network.publish(self.haste, self.link, self.target.clone(), frame, &self.pipe);
     }
 
     fn poll_write(

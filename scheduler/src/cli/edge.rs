@@ -5,6 +5,7 @@
 )]
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -69,21 +70,21 @@ fn samples(text: &str) -> Result<Samples, String> {
         None => (None, text),
     };
     let device = device.map(DeviceId::new).transpose().map_err(|error| error.to_string())?;
-    Ok(Samples { device, rate: rate(number, SAMPLES_BOUNDS)? })
+    Ok(Samples { device, rate: rate(number, &SAMPLES_BOUNDS)? })
 }
 
 fn pings(text: &str) -> Result<f64, String> {
-    rate(text, PINGS_BOUNDS)
+    rate(text, &PINGS_BOUNDS)
 }
 
 fn readings(text: &str) -> Result<f64, String> {
-    rate(text, READINGS_BOUNDS)
+    rate(text, &READINGS_BOUNDS)
 }
 
-fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
+fn rate(text: &str, bounds: &RangeInclusive<f64>) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
-    rate.filter(|rate| *rate >= least && *rate <= most)
-        .ok_or_else(|| format!("expected a number from {least} to {most}"))
+    rate.filter(|rate| bounds.contains(rate))
+        .ok_or_else(|| format!("expected a number from {} to {}", bounds.start(), bounds.end()))
 }
 
 /// Converts the command-line arguments to the driver's options.
