@@ -86,9 +86,9 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     let first_lane = TOP + GAP + cues.height() + GAP;
     let bottom = first_lane + lanes.height();
     let mut svg = String::new();
-    head::open(&mut svg, &act.plan.scenario, played, (frame.full_width(), bottom + BOTTOM));
+    head::open(&mut svg, &act.plan.scenario, played, frame.full_width(), bottom + BOTTOM);
     head::legend(&mut svg, LEGEND, &kinds(act, &lanes));
-    head::grid(&mut svg, &frame, (TOP, bottom));
+    head::grid(&mut svg, &frame, TOP, bottom);
     cues.draw(&mut svg, TOP + GAP);
     lanes.draw(&mut svg, first_lane, &frame, reported, played);
     if let Some(note) = lanes.note() {

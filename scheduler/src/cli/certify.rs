@@ -67,7 +67,7 @@ fn played(plan: &Plan<'_>, seed: u64, format: Format) -> Result<Vec<Trial>, Stri
         .iter()
         .map(|fault| {
             bar.inc(1);
-            certificate::play(plan.choreography, plan.fleet, (plan.first_act, seed), fault)
+            certificate::play(plan.choreography, plan.fleet, plan.first_act, seed, fault)
         })
         .collect();
     bar.finish_and_clear();

@@ -117,7 +117,8 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     };
     if let Some(count) = args.trials {
         let options = options(args, &fleet, first_act);
-        return match trials::play((&choreography, &fleet, &world), options, (count, args.seed), format) {
+        let trials = Trials::new(&choreography, &fleet, &world, options, args.seed);
+        return match trials::play(&trials, count, format) {
             Ok(results) => {
                 let page =
                     |path| page::of_trials(&results, &args.replay()).and_then(|text| page::save(path, &text));

@@ -497,12 +497,12 @@ impl KnownRobot {
     fn says(&mut self, at: Timestamp<Server>, response: Message) {
         match response {
             Message::AvailabilityResponse(answer) => {
-                let times = (answer.receive_timestamp, answer.timestamp);
-                self.answers(Question::Availability, answer.originate_timestamp, times, at);
+                let own = answer.originate_timestamp;
+                self.answers(Question::Availability, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InquiryResponse(answer) => {
-                let times = (answer.receive_timestamp, answer.timestamp);
-                self.answers(Question::Inquiry, answer.originate_timestamp, times, at);
+                let own = answer.originate_timestamp;
+                self.answers(Question::Inquiry, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InitializationBlock(block) => self.init = Some(block),
             _ => {}
@@ -515,7 +515,8 @@ impl KnownRobot {
         &mut self,
         question: Question,
         own: Option<Timestamp<Server>>,
-        (robot_received, robot_sent): (Timestamp<Robot>, Timestamp<Robot>),
+        robot_received: Timestamp<Robot>,
+        robot_sent: Timestamp<Robot>,
         received: Timestamp<Server>,
     ) {
         let Some(own) = own else { return };

@@ -131,7 +131,7 @@ impl RobotMeasured {
         Self {
             robot: robot.id.clone(),
             link: LinkMeasured::of(&exchanges, line.as_ref()),
-            breaks: told::breaks(history, &robot.id, bounds),
+            breaks: told::breaks(history, &robot.id, bounds.0, bounds.1),
             clock: ClockMeasured::of(&exchanges, line.as_ref(), told, bounds.0),
         }
     }

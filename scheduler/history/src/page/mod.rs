@@ -140,7 +140,7 @@ impl Rehearsed<'_> {
             findings: planned::findings(findings, outline),
             set: played::set(played, choreography, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
-            clocks: played::clocks(report, &places, (from, to), columns),
+            clocks: played::clocks(report, &places, from, to, columns),
             compared: None,
         }
     }

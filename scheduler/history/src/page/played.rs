@@ -56,7 +56,7 @@ pub(super) fn acts(
             lease: phases.leases_end.map(|at| epoch.millis(at)),
             fate: Fate::of(Some(act)),
             over: over.map(|at| epoch.millis(at)),
-            robots: robots(act, played, told, (places, epoch)),
+            robots: robots(act, played, told, places, epoch),
         });
     }
     acts
@@ -99,7 +99,8 @@ fn robots(
     act: &ActReport,
     played: &dry_run::Played,
     told: &[TimedProgress],
-    (places, epoch): (&Places, Epoch),
+    places: &Places,
+    epoch: Epoch,
 ) -> Vec<PlayedRobot> {
     let robot = |of_act: &ActRobot| {
         Some(PlayedRobot {
@@ -187,7 +188,8 @@ pub(super) fn read(
 pub(super) fn clocks(
     report: &Report,
     places: &Places,
-    (from, to): (f64, f64),
+    from: f64,
+    to: f64,
     columns: &mut Columns,
 ) -> Vec<Clock> {
     let always = |value: f64| [(from, value), (to, value)].into_iter().collect::<Points>();

@@ -14,8 +14,8 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use urrcp::{
-    Command, ControlRequest, ControlResponse, ControlType, Message, RequestId, Robot, RobotId, Server, Span,
-    Status, StatusValue, Timestamp,
+    Command, ControlRequest, ControlResponse, ControlType, Message, RequestId, RobotId, Server, Span, Status,
+    StatusValue, Timestamp,
 };
 
 use crate::journal::VERSION;
@@ -203,28 +203,25 @@ impl Recording {
         self.put(&format!("/robots/{robot}/responses"), TopicKind::Message, at, at, message);
         match message {
             Message::AvailabilityResponse(answer) => {
-                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
-                self.clock(at, robot, times);
+                let (sent, received) = (answer.originate_timestamp, answer.receive_timestamp);
+                let sample =
+                    sent.map(|sent| ClockSample::from_exchange(sent, received, answer.timestamp, at));
+                self.clock(at, robot, sample);
             }
             Message::InquiryResponse(answer) => {
-                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
-                self.clock(at, robot, times);
+                let (sent, received) = (answer.originate_timestamp, answer.receive_timestamp);
+                let sample =
+                    sent.map(|sent| ClockSample::from_exchange(sent, received, answer.timestamp, at));
+                self.clock(at, robot, sample);
             }
             Message::ControlResponse(response) => self.reported(at, robot, response),
             _ => {}
         }
     }
 
-    /// Records a measurement of the robot's clock. It uses the times stated in a response: when the request was sent and received, and
-    /// when the response was sent.
-    fn clock(
-        &mut self,
-        at: Timestamp<Server>,
-        robot: &RobotId,
-        (sent, received, answered): (Option<Timestamp<Server>>, Timestamp<Robot>, Timestamp<Robot>),
-    ) {
-        let Some(sent) = sent else { return };
-        let sample = ClockSample::from_exchange(sent, received, answered, at);
+    /// Records a measurement of the robot's clock. `None` if the response does not state when its request was sent.
+    fn clock(&mut self, at: Timestamp<Server>, robot: &RobotId, sample: Option<ClockSample>) {
+        let Some(sample) = sample else { return };
         let value = ClockOffset { offset: sample.offset, delay: sample.delay };
         self.put(&format!("/robots/{robot}/clock"), TopicKind::Clock, at, at, &value);
     }

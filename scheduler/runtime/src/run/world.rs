@@ -52,15 +52,24 @@ enum FileJournal {
     Lost(String),
 }
 
+/// The robots of a mission, in its order, and how they are reached.
+pub(super) struct Reached {
+    pub(super) ids: Vec<RobotId>,
+    pub(super) endpoints: Vec<Endpoint>,
+    /// The scripts that each robot and others receive.
+    pub(super) shared: Vec<SharedScripts>,
+    pub(super) before: Before,
+}
+
 impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
     pub(super) fn new(
-        (endpoints, shared, before): (Vec<Endpoint>, Vec<SharedScripts>, Before),
-        ids: Vec<RobotId>,
+        robots: Reached,
         clock: ServerClock,
         operator: mpsc::Receiver<Operator>,
         tell: T,
         keep: Keep,
     ) -> Self {
+        let Reached { ids, endpoints, shared, before } = robots;
         let (events, happened) = mpsc::channel(EVENTS_MAX);
         let mut stop_lane = keep.stop_lane;
         if let Some(lane) = &mut stop_lane {
@@ -193,9 +202,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
-        let endpoint = (self.endpoints[robot].clone(), self.of_robots[robot].clone());
-        let events = self.events.clone();
-        let link = Link::open_beside_others((robot, link), endpoint, self.clock, events, after.to_duration());
+        let (endpoint, of_robot) = (self.endpoints[robot].clone(), self.of_robots[robot].clone());
+        let (of, events, after) = ((robot, link), self.events.clone(), after.to_duration());
+        let link = Link::open_beside_others(of, endpoint, of_robot, self.clock, events, after);
         if let Some(lane) = &self.stop_lane {
             lane.links(robot, &link);
         }
@@ -241,7 +250,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
                 if record.is_durable() {
                     self.watches.each(|watch| watch.filed(at));
                 }
-                writer.write(at, record).map_or_else(Filed::Lost, |()| Filed::Waiting)
+                match writer.write(at, record) {
+                    Ok(()) => Filed::Waiting,
+                    Err(error) => Filed::Lost(error.to_string()),
+                }
             }
         }
     }

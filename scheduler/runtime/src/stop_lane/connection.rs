@@ -46,7 +46,8 @@ impl Connection {
     /// Connects to the robot. `known` is the robot's resolved address, so that a stop does not wait for a name server.
     pub(super) async fn open(
         endpoint: &Endpoint,
-        (clock, asked): (ServerClock, &SharedAllowance),
+        clock: ServerClock,
+        asked: &SharedAllowance,
         known: &mut Option<SocketAddr>,
     ) -> io::Result<Self> {
         match endpoint {
@@ -63,23 +64,25 @@ impl Connection {
                     *known = stream.peer_addr().ok();
                     over(stream, security).await
                 };
-                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                Ok(Self::of(ends, encoding, (clock, asked)))
+                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(reader, writer, encoding, clock, asked))
             }
             #[cfg(feature = "zenoh")]
             Endpoint::Zenoh { network, key, encoding } => {
                 let reach = Reach::Zenoh { network: network.clone(), key: key.clone() };
                 let connect = reach.connect(Purpose::Stop);
-                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                Ok(Self::of(ends, encoding, (clock, asked)))
+                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(reader, writer, encoding, clock, asked))
             }
         }
     }
 
     fn of(
-        (reader, writer): (ReadEnd, WriteEnd),
+        reader: ReadEnd,
+        writer: WriteEnd,
         encoding: &LinkEncoding,
-        (clock, asked): (ServerClock, &SharedAllowance),
+        clock: ServerClock,
+        asked: &SharedAllowance,
     ) -> Self {
         Self::Bytes(Box::new(Bytes {
             reader,

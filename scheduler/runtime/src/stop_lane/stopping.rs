@@ -67,7 +67,7 @@ impl Guard {
             let opened = tokio::select! {
                 biased;
                 rest = &mut ringing => return (None, rest),
-                opened = Connection::open(&self.endpoint, (self.clock, &self.asked), known) => opened,
+                opened = Connection::open(&self.endpoint, self.clock, &self.asked, known) => opened,
             };
             match opened {
                 // A connection to a robot in this process cannot fail.
@@ -163,7 +163,7 @@ impl Guard {
     ) -> Attempt {
         let begun = match connection {
             Some(connection) => connection,
-            None => match Connection::open(&self.endpoint, (self.clock, &self.asked), known).await {
+            None => match Connection::open(&self.endpoint, self.clock, &self.asked, known).await {
                 Ok(opened) => connection.insert(opened),
                 Err(error) => return self.failed(&error, open),
             },

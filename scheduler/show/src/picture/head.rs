@@ -13,7 +13,7 @@ const STYLE: &str = "text{font:12px sans-serif;fill:#222}.small,.name{font-size:
 .cue{fill:#cfe3f5;stroke:#2a6fb0;stroke-width:.6}.critical{fill:#ffd8a8;stroke:#a85a00;stroke-width:1.2}";
 
 /// Writes the start of the picture, with its title and the outcome of the act.
-pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, height): (f64, f64)) {
+pub(super) fn open(svg: &mut String, title: &str, played: &Played, width: f64, height: f64) {
     let spread = played.report.true_spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
     let _infallible = write!(
         svg,
@@ -67,7 +67,7 @@ impl DrawingKind {
 }
 
 /// Draws vertical lines at the ticks, from the upper ruler to the lower one.
-pub(super) fn grid(svg: &mut String, frame: &Frame, (top, bottom): (f64, f64)) {
+pub(super) fn grid(svg: &mut String, frame: &Frame, top: f64, bottom: f64) {
     for tick in &frame.ticks {
         let (x, label) = (LEFT + frame.offset(tick.millis), &tick.label);
         let _infallible = write!(

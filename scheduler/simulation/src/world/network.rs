@@ -89,7 +89,7 @@ impl World {
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
-            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, Loss::Closed, "connection reset");
         }
     }
 
@@ -130,7 +130,8 @@ impl World {
         robot: usize,
         link: LinkId,
         at: Timestamp<Server>,
-        (loss, reason): (Loss, &str),
+        loss: Loss,
+        reason: &str,
     ) {
         if self.robots[robot].dead.contains(&link) {
             return;
@@ -146,7 +147,7 @@ impl World {
             return;
         }
         for link in std::mem::take(&mut self.robots[robot].dead) {
-            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, Loss::Closed, "connection reset");
             self.robot_link_down(robot, link);
         }
     }

@@ -372,7 +372,7 @@ impl World {
         let Some(journal) = &mut side.journal else { return };
         let (disk, event) = match journal.sync() {
             Ok(count) => (DiskState::Idle, Event::Recorded { count }),
-            Err(reason) => (DiskState::Lost, Event::JournalLost { reason }),
+            Err(broken) => (DiskState::Lost, Event::JournalLost { reason: broken.to_string() }),
         };
         side.disk = disk;
         self.tell(event);
