@@ -52,6 +52,15 @@ impl Lost {
     }
 }
 
+/// What may have brought a device to rest.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum RestCause {
+    /// A request, or the end of a lease.
+    Request,
+    /// Only the end of a lease.
+    Lease,
+}
+
 /// A request and its sender.
 pub(crate) struct ReceivedRequest<'a> {
     link: LinkId,
@@ -126,7 +135,7 @@ impl Judge {
                 }
             }
         }
-        self.check_lost(true)?;
+        self.check_lost(RestCause::Request)?;
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
     }
@@ -198,14 +207,14 @@ impl Judge {
         hold(answers == usize::from(asked.is_some()), || {
             format!("wrong number of answers, {answers}, expected one for each request: {out:?}")
         })?;
-        self.check_lost(asked.is_some())?;
+        self.check_lost(asked.map_or(RestCause::Lease, |_| RestCause::Request))?;
         self.begin_untold(now);
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
     }
 
     /// Checks the effects of ended leases: no order that a lease ends is left, and devices come to rest when they must.
-    fn check_lost(&self, asked: bool) -> Result<(), Violation> {
+    fn check_lost(&self, cause: RestCause) -> Result<(), Violation> {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
             hold(left.is_none(), || {
@@ -215,7 +224,7 @@ impl Judge {
         for id in &self.rested {
             let lost = self.lost.get(id).copied().unwrap_or_default();
             let began = self.devices.get(id).is_some_and(|d| d.queue.iter().any(|order| order.began));
-            let due = asked || lost.everything;
+            let due = cause == RestCause::Request || lost.everything;
             hold(due && !began, || {
                 format!(
                     "`{id}` was brought to rest without a reason: ended leases {lost:?}, command running {began}"

@@ -45,6 +45,13 @@ pub(super) struct NetworkAccess {
     joined: Option<zenoh::Networks>,
 }
 
+/// Whether the operator accepts a network where anyone on the path could drive the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Exposure {
+    Accepted,
+    Refused,
+}
+
 /// An opened address of a robot whose clients are not served yet.
 #[derive(Debug)]
 pub(super) enum Listening {
@@ -67,7 +74,8 @@ impl Listening {
                 return Err(format!("--listen {place} {fault}; {}", hint.unwrap_or_default()));
             };
             guard.refuse_at_key()?;
-            return way.listen(&key, guard.permits_anyone()).await;
+            let exposure = if guard.permits_anyone() { Exposure::Accepted } else { Exposure::Refused };
+            return way.listen(&key, exposure).await;
         }
         let listener = Self::bind(place).await?;
         let door = guard.door(robot, &listener)?;
@@ -101,8 +109,8 @@ impl Listening {
 
 #[cfg(feature = "zenoh")]
 impl NetworkAccess {
-    /// Listens at a key of the Zenoh network. `anyone` is true if the operator accepts that anyone on the network could drive the robot.
-    pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
+    /// Listens at a key of the Zenoh network.
+    pub(super) async fn listen(&mut self, key: &str, exposure: Exposure) -> Result<Listening, String> {
         let networks = match &self.joined {
             Some(networks) => networks.clone(),
             None => {
@@ -112,7 +120,7 @@ impl NetworkAccess {
                 joining.await.map_err(|error| error.to_string())??
             }
         };
-        if let Some(endpoint) = networks.open_endpoint().filter(|_| !anyone) {
+        if let Some(endpoint) = networks.open_endpoint().filter(|_| exposure == Exposure::Refused) {
             return Err(format!(
                 "the Zenoh configuration uses {endpoint}, where anyone on the network path could drive the robot; use a tls/ endpoint, or add --insecure if the network is isolated"
             ));
@@ -129,7 +137,7 @@ impl NetworkAccess {
 
 #[cfg(not(feature = "zenoh"))]
 impl NetworkAccess {
-    pub(super) async fn listen(&mut self, _: &str, _: bool) -> Result<Listening, String> {
+    pub(super) async fn listen(&mut self, _: &str, _: Exposure) -> Result<Listening, String> {
         Err(crate::link::NOT_BUILT.to_owned())
     }
 }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::{BEGIN, Item, World, options, participants, session};
+use super::{BEGIN, HistoryDetail, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
@@ -394,7 +394,7 @@ impl World {
             Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
             Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),
             Event::Received { robot, message } => {
-                let message = self.verbose.then(|| message.clone());
+                let message = (self.detail == HistoryDetail::Trace).then(|| message.clone());
                 self.note(Happened::FromRobot(*robot, message));
             }
             _ => {}
@@ -504,7 +504,7 @@ impl drive::World for World {
         }
         self.hears(&progress);
         let often = matches!(progress, Progress::Heard { .. } | Progress::Reading { .. });
-        if self.verbose || !often {
+        if self.detail == HistoryDetail::Trace || !often {
             self.note(Happened::Told(Box::new(progress)));
         }
     }
