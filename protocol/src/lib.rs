@@ -80,7 +80,7 @@ pub use message::{
     RevocationList, RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue,
     Step, StopCondition,
 };
-pub use role::{Proof, Role, Roles};
+pub use role::{Proof, Role, Roles, UnknownRole};
 #[cfg(feature = "schema")]
 pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};

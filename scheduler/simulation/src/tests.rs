@@ -157,7 +157,7 @@ fn stalled_disk_ends_the_mission_before_any_movement() {
     for seed in &seeds {
         let mut drawn = draw(*seed);
         drawn.disk = DrawnDisk { sync: Span::from_millis(600_000), capacity: None, loses_power: false };
-        let ran = world::play(drawn, true);
+        let ran = world::play(drawn, world::HistoryDetail::Trace);
         assert_eq!(ran.verdict().violations, [], "seed {seed}");
         let outcome = ran.report.map(|report| report.outcome);
         let refused = matches!(outcome, Some(Outcome::JournalLost { .. } | Outcome::NotStarted));
@@ -172,7 +172,7 @@ fn unnamed_stop_confirmation_ends_no_script_that_has_not_begun() {
     let unnamed = |drawn: &Drawn| drawn.robots.iter().any(|robot| robot.names == Names::LeftOut);
     let mut stopped = 0;
     for mut drawn in (0..400).map(draw).filter(unnamed) {
-        let ready = world::play(Drawn { faults: Vec::new(), ..drawn.clone() }, false);
+        let ready = world::play(Drawn { faults: Vec::new(), ..drawn.clone() }, world::HistoryDetail::Checks);
         let promise = ready.records.iter().find_map(|(_, record)| match record {
             downbeat_mission::Record::Prepared(promise) => Some(promise.start),
             _ => None,
@@ -181,7 +181,7 @@ fn unnamed_stop_confirmation_ends_no_script_that_has_not_begun() {
         let before = start - downbeat_rehearsal::dry_run::BEGIN - Span::from_millis(150);
         drawn.faults = vec![(before, Fault::Stop)];
         let seed = drawn.seed;
-        assert_eq!(world::play(drawn, false).verdict().violations, [], "seed {seed}");
+        assert_eq!(world::play(drawn, world::HistoryDetail::Checks).verdict().violations, [], "seed {seed}");
         stopped += 1;
     }
     assert!(stopped > 30, "{stopped}");
@@ -196,7 +196,7 @@ fn robot_with_clock_ahead_within_tolerance_keeps_lease_until_commitment() {
         drawn.robots[0].clock = downbeat_mission::ClockMode::Ntp;
         drawn.robots[0].settings.clock_offset = Span::from_millis(35);
         drawn.choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = Span::from_millis(60));
-        let ran = world::play(drawn.without_faults(), false);
+        let ran = world::play(drawn.without_faults(), world::HistoryDetail::Checks);
         let Some(report) = ran.report else { continue };
         let lost = |failure: &&Failure| failure.kind.to_string().contains("link_lost");
         let lost: Vec<_> = report.failures.iter().filter(lost).collect();
@@ -230,7 +230,7 @@ fn with_faults_around_the_decision(
 }
 
 fn run_calmly(drawn: Drawn) -> Ran {
-    world::play(drawn, false)
+    world::play(drawn, world::HistoryDetail::Checks)
 }
 
 #[test]

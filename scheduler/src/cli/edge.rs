@@ -5,6 +5,7 @@
 )]
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -69,21 +70,21 @@ fn samples(text: &str) -> Result<Samples, String> {
         None => (None, text),
     };
     let device = device.map(DeviceId::new).transpose().map_err(|error| error.to_string())?;
-    Ok(Samples { device, rate: rate(number, SAMPLES_BOUNDS)? })
+    Ok(Samples { device, rate: rate(number, &SAMPLES_BOUNDS)? })
 }
 
 fn pings(text: &str) -> Result<f64, String> {
-    rate(text, PINGS_BOUNDS)
+    rate(text, &PINGS_BOUNDS)
 }
 
 fn readings(text: &str) -> Result<f64, String> {
-    rate(text, READINGS_BOUNDS)
+    rate(text, &READINGS_BOUNDS)
 }
 
-fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
+fn rate(text: &str, bounds: &RangeInclusive<f64>) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
-    rate.filter(|rate| *rate >= least && *rate <= most)
-        .ok_or_else(|| format!("expected a number from {least} to {most}"))
+    rate.filter(|rate| bounds.contains(rate))
+        .ok_or_else(|| format!("expected a number from {} to {}", bounds.start(), bounds.end()))
 }
 
 /// Converts the command-line arguments to the driver's options.
@@ -128,7 +129,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Err(why) => return failed(&why),
     };
     let id = block.id.clone();
-    let told = Mutex::new(Told::default());
+    let told = Mutex::new(PrintedLines::default());
     let name = id.to_string();
     let watch = move |event: &HardwareEvent| {
         let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,7 +148,7 @@ const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 
 /// The lines about the hardware that were printed on the terminal.
 #[derive(Debug, Default)]
-struct Told {
+struct PrintedLines {
     /// The lines of the last ten seconds.
     lines: VecDeque<(Instant, String)>,
     /// Whether the last printed line about the hardware's availability reported that it is unavailable.
@@ -155,7 +156,7 @@ struct Told {
     latency_told: bool,
 }
 
-impl Told {
+impl PrintedLines {
     /// Returns the line to print for an event, if any. After a printed line has reported unavailable hardware, the return of the hardware
     /// is always printed.
     fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
@@ -200,7 +201,7 @@ mod tests {
 
     #[test]
     fn hardware_loss_and_return_are_each_printed_once() {
-        let (begin, mut told) = (Instant::now(), Told::default());
+        let (begin, mut told) = (Instant::now(), PrintedLines::default());
         let lost = HardwareEvent::Lost("the hardware is not available: no port".to_owned());
         let there = HardwareEvent::There { latency: BTreeMap::new() };
         let mut at = |seconds, event| told.line("r", event, begin + Duration::from_secs(seconds));
@@ -228,7 +229,7 @@ mod tests {
 
     #[test]
     fn many_different_faults_print_only_a_few_lines() {
-        let (now, mut told) = (Instant::now(), Told::default());
+        let (now, mut told) = (Instant::now(), PrintedLines::default());
         let events = (0..100).map(|i| HardwareEvent::Unread(format!("fault {i}")));
         assert_eq!(events.filter_map(|event| told.line("r", &event, now)).count(), QUIET.1);
     }

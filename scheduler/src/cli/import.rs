@@ -180,12 +180,12 @@ struct Done<'a> {
     held: usize,
     duration_ms: Span,
     #[serde(flatten)]
-    told: Told<'a>,
+    told: CommonOutput<'a>,
 }
 
 /// The part of the output that all imports have: notes on conversion rules, findings and written files.
 #[derive(Serialize)]
-struct Told<'a> {
+struct CommonOutput<'a> {
     notes: &'a [String],
     findings: &'a [Finding],
     files: &'a [String],
@@ -194,7 +194,7 @@ struct Told<'a> {
     text: Option<&'a str>,
 }
 
-impl Told<'_> {
+impl CommonOutput<'_> {
     fn show(&self) {
         for note in self.notes {
             console::note(&format!("note: {note}"));
@@ -236,7 +236,7 @@ fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit
         }
     }
     let ImportOutcome { imported, notes, findings } = &outcome;
-    let told = Told { notes, findings, files: &files, text: text.as_deref() };
+    let told = CommonOutput { notes, findings, files: &files, text: text.as_deref() };
     match format {
         Format::Json => show_json(imported.as_ref(), scenes, told),
         Format::Text => show_text(imported.as_ref(), scenes, &told),
@@ -318,7 +318,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
     (init, outcome)
 }
 
-fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
+fn show_json(imported: Option<&Imported>, scenes: Scenes, told: CommonOutput<'_>) {
     console::print_json(&Done {
         scenario: imported.map(|imported| imported.name.as_str()),
         robots: imported.map_or(0, |imported| imported.robots().len()),
@@ -330,7 +330,7 @@ fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
     });
 }
 
-fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &Told<'_>) {
+fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &CommonOutput<'_>) {
     told.show();
     let Some(imported) = imported.filter(|_| told.findings.is_empty()) else { return };
     console::note(&format!(

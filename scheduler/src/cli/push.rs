@@ -8,7 +8,7 @@ use downbeat_scripts::{Address, Fleet, FleetRobot, Protection};
 use serde::Serialize;
 use urrcp::{RobotId, Span};
 
-use super::fleet::{Answer, ask_all, shown_list};
+use super::fleet::{Answer, RobotToAsk, ask_all, shown_list};
 use super::keys::FolderArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
@@ -114,7 +114,7 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
             match authority.list_for(id, protection) {
                 Ok(list) => {
                     bytes = bytes.max(list.len());
-                    asked.push((robot, Some(list)));
+                    asked.push(RobotToAsk { robot, list: Some(list) });
                 }
                 Err(error) => {
                     let problem = format!(
@@ -131,7 +131,7 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
         answers = ask_all(fleet, asked, Drivers::from(StartPrograms::No), patience).await;
         Exit::Done
     });
-    pushed.extend(answers?.into_iter().map(|answer| result(answer, (latest, bytes))));
+    pushed.extend(answers?.into_iter().map(|answer| result(answer, latest, bytes)));
     Ok(pushed)
 }
 
@@ -153,7 +153,7 @@ fn refuse_ended(fleet: &Fleet, authorities: &Authorities) -> Result<(), String> 
 /// Length in bytes of a list that a robot accepts even while it plays in another operator's mission.
 const ALWAYS_ACCEPTED: usize = 60_000;
 
-fn result(answer: Answer, (latest, bytes): (u64, usize)) -> Pushed {
+fn result(answer: Answer, latest: u64, bytes: usize) -> Pushed {
     let Answer { robot, problem, revocation_list, .. } = answer;
     let list = revocation_list.as_ref().map(|list| list.number).filter(|number| *number > 0);
     let refused = revocation_list.and_then(|list| list.refused);

@@ -16,7 +16,7 @@ use downbeat_reader::{keys, schema, words};
 use downbeat_space::space::{Body, Space};
 use downbeat_yaml::composed::composed;
 use downbeat_yaml::duration::written;
-use downbeat_yaml::finding::{Code, Finding, Part, Place, Severity};
+use downbeat_yaml::finding::{Code, Finding, PathStep, Place, Severity};
 use downbeat_yaml::identify::{self, Document};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
@@ -472,7 +472,7 @@ impl FleetReader<'_> {
 
     /// Reports two robots whose names look the same but are encoded differently.
     fn same_name(&mut self, name: &str, robots: &At<'_>) {
-        let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
+        let place = Place { key: true, ..robots.place().below(PathStep::Key(name.to_owned(), 1)) };
         let message = format!(
             "duplicate robot name `{}`: the letters look the same, but are encoded differently",
             shortened(name)

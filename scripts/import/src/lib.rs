@@ -18,6 +18,7 @@ mod joint_states;
 mod joint_trajectory;
 mod keyframes;
 mod light_program;
+mod malformed;
 mod midi;
 mod moments;
 mod natural;

@@ -49,7 +49,7 @@ struct Joint {
 
 /// Properties of joints that are each reported in one note for all joints concerned.
 #[derive(Default)]
-struct Told {
+struct JointRemarks {
     fixed: usize,
     left_out: Vec<String>,
     mimics: Vec<String>,
@@ -137,7 +137,7 @@ fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, V
 }
 
 fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
-    let mut told = Told::default();
+    let mut told = JointRemarks::default();
     let mut joints = Vec::new();
     let mut seen = std::collections::HashSet::new();
     // Only direct children are joints: transmissions also name joints, one level deeper.
@@ -172,7 +172,12 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
     joints
 }
 
-fn read_joint(node: Node<'_, '_>, told: &mut Told, source: &Source, sink: &mut Sink) -> Option<Joint> {
+fn read_joint(
+    node: Node<'_, '_>,
+    told: &mut JointRemarks,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<Joint> {
     let name = node.attribute("name").unwrap_or("").to_owned();
     if let Err(error) = DeviceId::new(name.as_str()) {
         let message = format!("joint `{}`: {error}", shortened(&name));
@@ -226,7 +231,7 @@ fn range(
     limit: Option<Node<'_, '_>>,
     name: &str,
     kind: &str,
-    told: &mut Told,
+    told: &mut JointRemarks,
     source: &Source,
     sink: &mut Sink,
 ) -> Option<(f64, f64)> {
@@ -320,7 +325,7 @@ fn spot_at(source: &Source, line: usize, column: usize) -> Spot<'_> {
     Spot { line, text, start, width }
 }
 
-impl Told {
+impl JointRemarks {
     fn note(&self, file: &str, sink: &mut Sink) {
         let listed =
             |names: &[String]| downbeat_yaml::finding::names(names.iter().take(20).map(String::as_str));

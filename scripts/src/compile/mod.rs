@@ -189,12 +189,12 @@ impl Compiler {
         check_safety::check(&mut self.findings, &scenario, &acts);
         // If the times of an act contradict each other, the final positions of its devices are unknown.
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
-        let known = (first_movements.as_slice(), moved.as_slice());
         let passages = Passages::of(&acts, &cast);
-        let factors = jumps::check_entries(&mut self.findings, &cast, &scenario.acts, &passages, known);
+        let entries = jumps::Entries { acts: &scenario.acts, first: &first_movements, moved: &moved };
+        let factors = jumps::check_entries(&mut self.findings, &cast, &passages, entries);
         limit_entries(&mut acts, &cast, &factors);
         compensate::compensate(&mut acts, fleet);
-        at_end::go_home(&mut self.findings, &scenario, (&cast, fleet), &mut acts, &rests);
+        at_end::go_home(&mut self.findings, &scenario, &cast, fleet, &mut acts, &rests);
         let choreography = Choreography {
             scenario: scenario.name.clone(),
             acts,

@@ -267,14 +267,14 @@ impl<'a> Library<'a> {
     }
 
     /// Adds the contents of a plain included file.
-    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
+    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, name: &str, place: &Place) {
         let at = At::document(node, file);
         let Some(keys) = reader.keys::<IncludedKeys<'_>>(&at, "an included file") else { return };
         if let Some(at) = keys.include {
             includes::check(reader, &at);
         }
-        includes::defaults(reader, keys.parameters, named);
-        self.add_from(reader, &keys.parts(), (file, 0));
+        includes::set_defaults(reader, keys.parameters, name, place);
+        self.add_from(reader, &keys.parts(), file, 0);
     }
 
     /// Adds the contents of the scenario's own file.
@@ -282,10 +282,10 @@ impl<'a> Library<'a> {
         if let Some(at) = include {
             includes::check(reader, &at);
         }
-        self.add_from(reader, parts, (0, 0));
+        self.add_from(reader, parts, 0, 0);
     }
 
-    pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, (file, copy): (u16, usize)) {
+    pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, file: u16, copy: usize) {
         let Parts { variables, moves, sequences, roles, formations, paths } = *parts;
         if let Some(at) = variables {
             let entries = reader.entries(&at, "a map from each variable to its value");

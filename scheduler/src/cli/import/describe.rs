@@ -5,13 +5,13 @@ use downbeat_scripts::{Source, counted};
 use serde::Serialize;
 
 use super::super::{Exit, Format, console};
-use super::{ImportArgs, Told, exit_of, write};
+use super::{CommonOutput, ImportArgs, exit_of, write};
 
 #[derive(Serialize)]
 struct Done<'a> {
     devices: usize,
     #[serde(flatten)]
-    told: Told<'a>,
+    told: CommonOutput<'a>,
 }
 
 pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
@@ -33,7 +33,7 @@ pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
     let block = outcome.files.first().map(|file| file.text.as_str());
     let text = block.filter(|_| args.output.is_none() && outcome.findings.is_empty());
     let UrdfOutcome { devices, notes, findings, .. } = &outcome;
-    let told = Told { notes, findings, files: &written, text };
+    let told = CommonOutput { notes, findings, files: &written, text };
     match format {
         Format::Json => console::print_json(&Done { devices: *devices, told }),
         Format::Text => show(*devices, &told),
@@ -41,7 +41,7 @@ pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
     exit_of(&outcome.findings)
 }
 
-fn show(devices: usize, told: &Told<'_>) {
+fn show(devices: usize, told: &CommonOutput<'_>) {
     told.show();
     if told.text.is_some() {
         console::note("note: the speed limits belong in the fleet file, which --output DIR also writes");

@@ -3,7 +3,7 @@
 use serde_yaml::{Mapping, Value};
 
 use downbeat_reader::fields::Reader;
-use downbeat_yaml::finding::{Code, Finding, Part, Place, did_you_mean, did_you_mean_this, one_of};
+use downbeat_yaml::finding::{Code, Finding, PathStep, Place, did_you_mean, did_you_mean_this, one_of};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
@@ -184,7 +184,7 @@ pub(super) fn ignored(source: &Source) -> Vec<Finding> {
     let devices = block.get("devices").and_then(Value::as_sequence).into_iter().flatten();
     for (index, device) in devices.enumerate() {
         let Value::Mapping(device) = device else { continue };
-        let place = Place::default().of_key("devices").below(Part::Index(index));
+        let place = Place::default().of_key("devices").below(PathStep::Index(index));
         check(&mut findings, Level::Device, &place, device);
         let Some(Value::Mapping(types)) = device.get("available_control_types") else { continue };
         let place = place.of_key("available_control_types");
