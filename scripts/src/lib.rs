@@ -47,7 +47,7 @@ pub use approach::{Approach, add_approach, plan_approach};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
-pub use downbeat_fleet::address::{Address, InvalidAddress, Protection};
+pub use downbeat_fleet::address::{Address, DmxAddress, DmxProtocol, InvalidAddress, OscAddress, Protection};
 pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
@@ -91,7 +91,8 @@ pub use schema::{Schema, all_maps, schema};
 #[doc(hidden)]
 pub use {
     downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,
-    downbeat_yaml::finding::did_you_mean, downbeat_yaml::render::counted,
+    downbeat_yaml::finding::did_you_mean, downbeat_yaml::finding::robots_named,
+    downbeat_yaml::render::counted,
 };
 
 #[cfg(test)]

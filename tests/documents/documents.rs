@@ -259,6 +259,21 @@ fn robot_description_in_edge_document_is_valid() {
 }
 
 #[test]
+fn fixture_in_lights_document_is_valid_and_can_be_addressed() {
+    let descriptions = blocks(&read("docs/lights.md"), "```yaml fixture");
+    assert_eq!(descriptions.len(), 1);
+    let session = Session::new();
+    session.file("spot.yaml", &descriptions[0]);
+    session.file("fleet.yaml", "robots: {spot-1: {init: spot.yaml, address: \"sacn:1/13\"}}\n");
+    let tracks = "{dimmer: [{at: 0s, to: 0}, {at: 1s, to: 100}], color: [{at: 0s, to: [255, 0, 0]}]}";
+    session.file(
+        "show.yaml",
+        format!("scenario: show\ncues:\n  - {{cue: light, robots: spot-1, tracks: {tracks}}}\n"),
+    );
+    session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
+}
+
+#[test]
 fn every_page_is_in_book_table_of_contents() {
     let contents = read("book/SUMMARY.md");
     for entry in std::fs::read_dir(root().join("docs")).unwrap() {

@@ -13,11 +13,14 @@ use downbeat_robot::Hosted;
 use downbeat_robot::driver::{
     DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
 };
+use downbeat_scripts::Address;
+use downbeat_scripts::address_fault;
 use urrcp::{DeviceId, InitializationBlock};
 
 use super::drivers::DriverArgs;
 use super::robot::{Body, ProcessArgs, failed};
 use super::{Exit, Format, console};
+use crate::fleet::driver_of;
 
 /// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
@@ -27,6 +30,8 @@ docs/edge.md describes drivers.
 
 Drivers:
   sim                 drive nothing
+  sacn:1/13, artnet:1/13@HOST  drive a DMX fixture: universe 1, first channel 13
+  osc:HOST:PORT/PATH  send Open Sound Control messages
   thrift://HOST:PORT  drive a robot that speaks Thrift URRCP
   program:COMMAND     write lines to a program's standard input
 
@@ -39,7 +44,7 @@ pub(super) struct EdgeArgs {
     #[command(flatten)]
     process: ProcessArgs,
     /// The driver of the hardware.
-    #[arg(long)]
+    #[arg(long, value_parser = driver_named)]
     driver: DriverSpec,
     /// Samples per second of a linear movement, if the hardware does not move linearly by itself: NUMBER for all devices, or
     /// DEVICE=NUMBER; 0.1 to 1000. By default, as the driver declares, or 50.
@@ -57,11 +62,23 @@ pub(super) struct EdgeArgs {
     patience: DriverArgs,
 }
 
+/// The accepted forms of `--driver`, for messages to the user.
+const DRIVERS: &str = "sim, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND";
+
 /// Samples per second of one device, or of all devices if `device` is `None`.
 #[derive(Clone, Debug, PartialEq)]
 struct Samples {
     device: Option<DeviceId>,
     rate: f64,
+}
+
+fn driver_named(text: &str) -> Result<DriverSpec, String> {
+    let address = text.parse::<Address>().ok();
+    let spec = address.as_ref().and_then(driver_of);
+    spec.ok_or_else(|| match address_fault(text) {
+        (_, Some(hint)) if address.is_none() && hint.starts_with("write ") => hint,
+        _ => format!("unknown driver `{text}`, expected {DRIVERS}"),
+    })
 }
 
 fn samples(text: &str) -> Result<Samples, String> {

@@ -225,7 +225,7 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
                 Err(format!("{text}; check the robot's address, and that the robot is switched on"))
             }
         },
-        Address::Simulated | Address::Program { .. } => {
+        _ => {
             console::error(&format!(
                 "`{}` cannot be described; expected the address of a robot, tcp://HOST:PORT or thrift://HOST:PORT",
                 args.address

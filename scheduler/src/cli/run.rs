@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use downbeat_robot::HostOptions;
 use downbeat_robot::realtime::WakeUp;
-use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait, robots_named};
 use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
 
@@ -564,6 +564,7 @@ impl Work<'_> {
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
         let host_options = HostOptions::default().with_realtime(self.realtime.realtime());
+        announce_blackouts(&robots);
         let site = identity::site(fleet).map_err(|error| (error, Exit::Usage))?;
         let (host, endpoints) =
             fleet::endpoints_at_once(&robots, fleet.handshake, &site, host_options, self.drivers)
@@ -740,6 +741,19 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         Outcome::Stopped => Exit::Stopped,
         Outcome::OutOfTolerance { .. } | Outcome::StepsLate { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,
+    }
+}
+
+/// Announces which fixtures go dark when this process ends, because a mission otherwise leaves devices where they are.
+fn announce_blackouts(robots: &[&FleetRobot]) {
+    let goes_dark =
+        |robot: &&&FleetRobot| matches!(&robot.address, Address::Dmx(fixture) if fixture.blackout);
+    let dark: Vec<&str> = robots.iter().filter(goes_dark).map(|robot| robot.id.as_str()).collect();
+    if !dark.is_empty() {
+        console::note(&format!(
+            "{} will go dark at the end (`end=blackout` in the fleet file)",
+            robots_named(dark.iter().copied())
+        ));
     }
 }
 

@@ -132,8 +132,6 @@ async fn listening(address: &Address, door: Door, way: &mut NetworkAccess) -> Re
                 if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
             Ok(Listening::Tcp(Listening::bind(&place).await?, door))
         }
-        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => {
-            Err(format!("cannot listen at the address {address}"))
-        }
+        _ => Err(format!("cannot listen at the address {address}")),
     }
 }

@@ -319,7 +319,7 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
                 reached.push(fleet_robot(opened, address));
                 continue;
             }
-            (Ok(address @ Address::Thrift { .. }), _) if reachable => {
+            (Ok(address), _) if address.is_driven() && reachable => {
                 reached.push(fleet_robot(opened, address));
                 continue;
             }

@@ -59,6 +59,7 @@ impl Level {
                 "script_queue",
                 "latency",
                 "latency_spread",
+                "channel",
                 "available_control_types",
             ],
             Self::ControlTypes => &["position", "speed", "acceleration", "script", "sensor"],
