@@ -106,7 +106,11 @@ fn every_import_format_has_documentation_row_and_fuzzer_seed() {
             facts.word
         );
     }
-    assert_eq!(byte("urdf"), downbeat_import::ImportFormat::ALL.len(), "the first byte of the seed `urdf`");
+    let motions = downbeat_import::ImportFormat::ALL.len();
+    for (index, word) in (motions..).zip(["urdf", "fixture"]) {
+        assert!(document.contains(&format!("\n| `{word}` | ")), "docs/import.md has no row of `{word}`");
+        assert_eq!(byte(word), index, "the first byte of the seed `{word}`");
+    }
 }
 
 #[test]

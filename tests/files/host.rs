@@ -311,6 +311,7 @@ fn pipe_or_device_instead_of_file_is_refused_immediately() {
     named(&["preflight", "show.yaml", "--require-certificate", "pipe"]);
     named(&["import", "midi", "pipe"]);
     named(&["import", "urdf", "pipe"]);
+    named(&["import", "fixture", "pipe"]);
 }
 
 #[test]

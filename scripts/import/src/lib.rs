@@ -8,7 +8,9 @@ mod bitbots;
 mod bvh;
 mod columns;
 mod crazyswarm;
+mod description;
 pub mod dialect;
+mod fixture;
 mod fleet_part;
 mod fseq;
 mod grid;
@@ -51,12 +53,14 @@ use downbeat_yaml::source::{Source, read_bytes};
 use input::Input;
 use sink::Sink;
 
+pub use description::DescriptionOutcome;
 pub use dialect::Decimal;
 pub use downbeat_yaml::formats::{FormatFacts, ImportFormat};
+pub use fixture::fixture;
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
 pub use position::Clearance;
-pub use urdf::{UrdfOutcome, urdf};
+pub use urdf::urdf;
 #[doc(hidden)]
 pub use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};

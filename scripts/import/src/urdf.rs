@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use roxmltree::{Document, Node, ParsingOptions};
 use urrcp::{DeviceId, RobotId};
 
-use downbeat_yaml::finding::{Code, Finding};
+use downbeat_yaml::finding::Code;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
+use super::description::{DescriptionOutcome, block_path};
 use super::fleet_part::FilePart;
 use super::sink::{Sink, Spot};
 use super::yaml::{line, number, one_line, scalar};
@@ -25,19 +26,6 @@ const GRANULARITY: f64 = 0.001;
 const STEPS: usize = 256;
 /// How far a continuous joint, which has no limits, may turn in each direction, in rad.
 const TURN: f64 = std::f64::consts::TAU;
-
-/// The result of converting a URDF.
-#[derive(Clone, Debug, Default)]
-pub struct UrdfOutcome {
-    /// The initialization block, and a fleet with one robot that has this block and its speed limits. Empty if there are errors.
-    pub files: Vec<FilePart>,
-    /// The number of devices in the block.
-    pub devices: usize,
-    /// Notes about parts of the URDF that are left out, and about values that are assumed.
-    pub notes: Vec<String>,
-    /// The errors in the URDF; empty if it was converted.
-    pub findings: Vec<Finding>,
-}
 
 struct Joint {
     name: String,
@@ -61,19 +49,18 @@ struct JointRemarks {
 
 /// Converts a URDF to an initialization block. `id` is the id of the robot; if it is `None`, the robot's name in the URDF is used.
 #[must_use]
-pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
+pub fn urdf(source: &Source, id: Option<&str>) -> DescriptionOutcome {
     let mut sink = Sink::default();
     let read = read(source, id, &mut sink);
     let Some((id, joints)) = read.filter(|_| sink.findings.is_empty()) else {
-        return UrdfOutcome { findings: sink.findings, notes: sink.notes, ..UrdfOutcome::default() };
+        return DescriptionOutcome::refused(sink);
     };
-    let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
-    let path = format!("robots/{}.yaml", id.chars().take(48).map(safe).collect::<String>());
+    let path = block_path(&id);
     let files = vec![
         FilePart { path: path.clone(), text: block_text(&id, &source.name, &joints) },
         FilePart { path: "fleet.yaml".into(), text: fleet_text(&id, &path, &joints) },
     ];
-    UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
+    DescriptionOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
 /// Parses a URDF. Adds a finding if the document does not describe a robot or is too large.
