@@ -223,6 +223,7 @@ fn invalid_fixtures_are_refused_with_the_place() {
         let outcome = converted_text(text, Some("5-channel"));
         let shown = downbeat_yaml::render::render(&outcome.findings, false);
         assert!(outcome.files.is_empty() && parts.iter().all(|part| shown.contains(part)), "{shown}");
+        assert_eq!(outcome.notes, [""; 0], "no notes about a block that is not written");
     }
     let par = text_of("par.json");
     let with = |from: &str, to: &str| {
