@@ -6,7 +6,7 @@ mod patch;
 mod transport;
 mod universe;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use urrcp::{DeviceId, InitializationBlock, RobotId, Setpoint};
 
@@ -130,7 +130,7 @@ impl Driver for DmxFixture {
     fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
         let target = Setpoint::new(ramp.control_type, ramp.to);
         let levels = self.patch.levels(device, &target).map_err(DriverError::Refused)?;
-        self.lease()?.fade(&levels, Instant::now(), ramp.duration);
+        self.lease()?.fade(&levels, ramp.duration);
         Ok(())
     }
 

@@ -48,7 +48,7 @@ impl Patch {
         let mut users: BTreeMap<u16, &DeviceId> = BTreeMap::new();
         let mut next = 1;
         for device in block.devices.iter() {
-            let (control_type, range, count) = driven(device)?;
+            let Driven { control_type, range, count } = driven(device)?;
             let values = match &device.channel {
                 Some(channels) => channels_of(device, channels, count)?,
                 None => (next..).take(count.unwrap_or(1)).map(|channel| vec![channel]).collect(),
@@ -123,8 +123,16 @@ fn level(value: f64, (min, max): (f64, f64)) -> f64 {
     if max > min { ((value - min) / (max - min)).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// Returns the only control type of a device, the range of its values, and their number. `None`: as many as there are channels.
-fn driven(device: &Device) -> Result<(ControlType, (f64, f64), Option<usize>), String> {
+/// How a device is driven.
+struct Driven {
+    control_type: ControlType,
+    range: (f64, f64),
+    /// Number of values. `None`: as many as the device has channels.
+    count: Option<usize>,
+}
+
+/// Returns how a device is driven. It must have only one control type.
+fn driven(device: &Device) -> Result<Driven, String> {
     let types = &device.available_control_types;
     let mut driven = types.iter().filter(|(control_type, _)| *control_type != ControlType::Script);
     let (Some((control_type, parameters)), None) = (driven.next(), driven.next()) else {
@@ -137,11 +145,14 @@ fn driven(device: &Device) -> Result<(ControlType, (f64, f64), Option<usize>), S
     };
     let range = |limits: &Limits| (limits.min_value, limits.max_value);
     match parameters {
-        ControlParameters::Motion(limits) => Ok((control_type, range(limits), Some(1))),
+        ControlParameters::Motion(limits) => {
+            Ok(Driven { control_type, range: range(limits), count: Some(1) })
+        }
         ControlParameters::Custom(parameters) => {
             let count = parameters.get("values").and_then(serde_json::Value::as_u64);
             let range = types.script().map_or(CUSTOM_RANGE, |script| range(&script.limits));
-            Ok((control_type, range, count.and_then(|count| usize::try_from(count).ok())))
+            let count = count.and_then(|count| usize::try_from(count).ok());
+            Ok(Driven { control_type, range, count })
         }
         _ => Err(format!("`{}` is a sensor, and DMX fixtures cannot be read", device.id)),
     }

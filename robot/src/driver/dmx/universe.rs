@@ -120,7 +120,16 @@ struct Place {
 }
 
 /// All universes of the process that a fixture uses.
-static UNIVERSES: Mutex<Option<HashMap<Place, (u8, Weak<Universe>)>>> = Mutex::new(None);
+static UNIVERSES: Mutex<Option<Universes>> = Mutex::new(None);
+
+type Universes = HashMap<Place, Used>;
+
+/// A universe that fixtures of the process use, or have used.
+#[derive(Debug)]
+struct Used {
+    priority: u8,
+    universe: Weak<Universe>,
+}
 
 impl Universe {
     /// Returns the universe of an address, and begins it if no other robot of the process uses it.
@@ -130,23 +139,23 @@ impl Universe {
         let place = Place { protocol: address.protocol, universe: address.universe, to };
         let mut universes = UNIVERSES.lock().unwrap_or_else(PoisonError::into_inner);
         let universes = universes.get_or_insert_default();
-        if let Some((priority, universe)) =
-            universes.get(&place).and_then(|(p, weak)| Some((*p, weak.upgrade()?)))
+        if let Some(used) = universes.get(&place)
+            && let Some(universe) = used.universe.upgrade()
         {
-            return if priority == address.priority {
+            return if used.priority == address.priority {
                 Ok(universe)
             } else {
-                let (universe, own) = (address.universe, address.priority);
+                let (number, theirs, own) = (address.universe, used.priority, address.priority);
                 Err(format!(
-                    "universe {universe} has the priority {priority} for another robot, and {own} for this one; give all robots of a universe the same priority"
+                    "universe {number} has the priority {theirs} for another robot, and {own} for this one; give all robots of a universe the same priority"
                 ))
             };
         }
         let transport =
             Transport::open(address, to).map_err(|error| format!("cannot open a socket: {error}"))?;
         let universe = Arc::new(Self::begin(transport)?);
-        universes.retain(|_, (_, universe)| universe.strong_count() > 0);
-        universes.insert(place, (address.priority, Arc::downgrade(&universe)));
+        universes.retain(|_, used| used.universe.strong_count() > 0);
+        universes.insert(place, Used { priority: address.priority, universe: Arc::downgrade(&universe) });
         Ok(universe)
     }
 
@@ -232,7 +241,8 @@ impl Lease {
     }
 
     /// Moves to levels in `duration`.
-    pub(super) fn fade(&self, levels: &[Level], begin: Instant, duration: Duration) {
+    pub(super) fn fade(&self, levels: &[Level], duration: Duration) {
+        let begin = Instant::now();
         let mut state = self.universe.shared.state();
         for Level { slot, level } in levels {
             let from = state.channels.get(slot).map_or(0.0, |channel| channel.level_at(begin));
