@@ -278,8 +278,10 @@ fn combined_list_of_a_stranger_is_refused() {
     let beside = format!("{}{}", site.list(), parts(&stranger.list())[0]);
     guard.replace_list(&beside).unwrap();
     assert!(guard.list().unwrap().number() > number);
-    let met = meets(&site.r0, &stranger.anna, &stranger.site.revoked());
-    assert_eq!(met, (false, false));
+    let foreign = stranger.anna.identity();
+    let excluded = guard.list().unwrap().exclusion(&foreign.authority, &foreign.serial);
+    assert_eq!(excluded, Some(Exclusion::AuthorityEnded));
+    assert!(meet(&site.r0, &stranger.anna, None).0.is_err());
 }
 
 #[test]
