@@ -57,7 +57,7 @@ pub enum Init {
 impl Init {
     /// Reads a robot's description: an initialization block, or a dictionary of devices.
     pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
-        if let Some(finding) = node::too_deep(&source) {
+        if let Some(finding) = node::too_large(&source) {
             return Err(vec![finding]);
         }
         let wrong = match block_of(&source) {
