@@ -76,6 +76,7 @@ pub use downbeat_space::space::{
 pub use downbeat_yaml::duration::parse_duration;
 pub use downbeat_yaml::files::{Files, Folder, NoFiles};
 pub use downbeat_yaml::finding::{Code, Finding, Related, Severity};
+pub use downbeat_yaml::home::{abbreviate_home, expand_home};
 pub use downbeat_yaml::open::open;
 pub use downbeat_yaml::project::Project;
 pub use downbeat_yaml::refusal::{Attempt, Refusal};

@@ -1,18 +1,18 @@
 //! `downbeat keys`: creates the site's own certificate authority, and keys for robots and operators.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use downbeat_robot::tls::Name;
 use downbeat_robot::{Role, Roles};
-use downbeat_scripts::counted;
+use downbeat_scripts::{abbreviate_home, counted};
 use downbeat_scripts::shown::shown;
 use urrcp::RobotId;
 
 use super::push::{self, PushArgs};
 use super::{Exit, Format, ProjectArgs, console};
-use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
+use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, Location, calendar};
 use crate::show::table::Rows;
 
 /// Default validity of a certificate in days.
@@ -25,7 +25,8 @@ const DAY: i64 = 24 * 3_600;
 #[derive(Debug, Subcommand)]
 #[command(
     after_help = "Begin with `downbeat keys init`. Copy each robot's file, and `revoked.pem`, to the robot; keep `authority.key` \
-secret. See docs/security.md.
+secret. The authority is in $DOWNBEAT_KEYS, or else in $XDG_DATA_HOME/downbeat/keys, or else in ~/.local/share/downbeat/keys. \
+See docs/security.md.
 
 Examples:
   downbeat keys init
@@ -56,9 +57,20 @@ pub(super) enum KeysCommand {
 /// The location of the authority.
 #[derive(Debug, clap::Args)]
 pub(super) struct FolderArgs {
-    /// The folder of the authority.
-    #[arg(long, value_name = "FOLDER", default_value = "keys")]
-    pub(super) keys: PathBuf,
+    /// The folder of the authority. By default, it is $DOWNBEAT_KEYS, or else $XDG_DATA_HOME/downbeat/keys, or else
+    /// ~/.local/share/downbeat/keys.
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
+}
+
+impl FolderArgs {
+    fn location(&self) -> Result<Location, KeysError> {
+        Location::of(self.keys.as_deref())
+    }
+
+    pub(super) fn open(&self) -> Result<Authority, KeysError> {
+        self.location()?.open()
+    }
 }
 
 #[derive(Debug, clap::Args)]
@@ -223,20 +235,31 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
 }
 
 fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
-    let authority = Authority::create(&args.keys, calendar())?;
-    let folder = args.keys.display().to_string();
+    let location = args.location()?;
+    let authority = location.create(calendar())?;
+    let folder = location.folder();
     match format {
         Format::Json => {
             console::print_json(&serde_json::json!({ "keys": folder, "revoked": authority.revoked() }));
         }
         Format::Text => console::print(&format!(
-            "created an authority in {}\n\
+            "created an authority in {folder}\n\
              next: `downbeat keys robot ID` for each robot, `downbeat keys operator NAME --role observe,drive,stop` for yourself\n\
+             then write into fleet.yaml:\n  identity: {}\n  revoked: {}\n\
              keep {folder}/authority.key secret, and keep a copy of it in a safe place: anyone who has it can create keys\n",
-            shown(&folder)
+            in_yaml(&folder.join("operators/NAME.pem")),
+            in_yaml(&authority.revoked()),
+            folder = shown(&folder.display().to_string()),
         )),
     }
     Ok(())
+}
+
+/// Returns a path as a value of a fleet file.
+fn in_yaml(path: &Path) -> String {
+    let path = abbreviate_home(path).display().to_string();
+    let is_plain = path.chars().all(|c| c.is_alphanumeric() || "/._-~".contains(c));
+    if is_plain { path } else { serde_json::Value::from(path).to_string() }
 }
 
 fn issue(
@@ -246,7 +269,7 @@ fn issue(
     days: i64,
     format: Format,
 ) -> Result<(), KeysError> {
-    let paths = Authority::open(&folder.keys)?.issue(names, roles, calendar(), days)?;
+    let paths = folder.open()?.issue(names, roles, calendar(), days)?;
     tell(names.iter().zip(&paths), days, format);
     Ok(())
 }
@@ -254,7 +277,7 @@ fn issue(
 fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
     let if_there = if args.renew { IfThere::Replace } else { IfThere::Keep };
     let robots = args.robots.iter().cloned().collect();
-    let paths = Authority::open(&args.folder.keys)?.make_secrets(&robots, if_there)?;
+    let paths = args.folder.open()?.make_secrets(&robots, if_there)?;
     match format {
         Format::Json => {
             let made = |(robot, path): (&RobotId, &PathBuf)| serde_json::json!({ "name": format!("robot {robot}"), "secret": path });
@@ -272,7 +295,7 @@ fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
 }
 
 fn renew(args: &RenewArgs, format: Format) -> Result<(), KeysError> {
-    let authority = Authority::open(&args.named.folder.keys)?;
+    let authority = args.named.folder.open()?;
     let Some(name) = args.named.name() else { return Ok(()) };
     let path = authority.renew(&name, calendar(), args.days.days)?;
     tell(std::iter::once((&name, &path)), args.days.days, format);
@@ -303,7 +326,7 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
         Ok(fleet) => fleet,
         Err(exit) => return Ok(exit),
     };
-    let authority = Authority::open(&folder.keys)?;
+    let authority = folder.open()?;
     let certificate = serial.as_deref().map(|serial| authority.with_serial(serial)).transpose()?;
     let named = || named(robot.as_ref(), operator.as_deref());
     let Some(name) = certificate.as_ref().map(|(name, _)| name.clone()).or_else(named) else {
@@ -361,7 +384,7 @@ fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
 }
 
 fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
-    let authority = Authority::open(&args.keys)?;
+    let authority = args.open()?;
     let (issued, secrets) = (authority.issued()?, authority.robots_with_secret()?);
     match format {
         Format::Json => {

@@ -9,6 +9,7 @@ mod flooding;
 mod hmac;
 mod hostile;
 mod identity;
+mod location;
 mod revoked;
 mod seize;
 mod tls;

@@ -7,6 +7,7 @@
 
 mod files;
 mod issued;
+mod location;
 mod secrets;
 #[cfg(test)]
 mod tests;
@@ -33,6 +34,7 @@ use urrcp::RobotId;
 use crate::journal::private::NotPrivate;
 pub use files::file_name;
 pub use issued::{Entry, Issued, Kind};
+pub use location::Location;
 pub use secrets::IfThere;
 
 const AUTHORITY_KEY: &str = "authority.key";
@@ -70,6 +72,12 @@ pub enum KeysError {
     /// The folder contains no certificate authority.
     #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
+    /// No variable of the environment names a folder for keys.
+    #[error("no folder for keys: HOME is not set; set HOME, set DOWNBEAT_KEYS to a folder of your own, or name a folder with --keys")]
+    NoFolder,
+    /// The default folder, named here, contains no authority, but the default folder of earlier versions does.
+    #[error("{} contains no authority, but the folder `keys` does, which was the default of earlier versions; use it with `--keys keys`, or name another folder with --keys", .0.display())]
+    FormerDefault(PathBuf),
     /// The contents of a file cannot be used.
     #[error("{}: {what}", path.display())]
     Damaged {
