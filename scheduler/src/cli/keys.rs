@@ -11,8 +11,9 @@ use downbeat_scripts::shown::shown;
 use urrcp::RobotId;
 
 use super::push::{self, PushArgs};
+use super::request::{self, InstallArgs, RequestArgs, SignArgs};
 use super::{Exit, Format, ProjectArgs, console};
-use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, Location, calendar};
+use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, Location, RequestError, calendar, check_operator_name};
 use crate::show::table::Rows;
 
 /// Default validity of a certificate in days.
@@ -44,6 +45,12 @@ pub(super) enum KeysCommand {
     Operator(OperatorArgs),
     /// Make secrets for robots without TLS, such as microcontrollers at `hmac://` addresses.
     Secret(SecretArgs),
+    /// Make a key on the machine that uses it, and a request for its certificate.
+    Request(RequestArgs),
+    /// Sign a request with the key of the authority.
+    Sign(SignArgs),
+    /// Add a signed certificate to the key for which it was requested.
+    Install(InstallArgs),
     /// Make a new key for a robot or an operator. The old one remains valid until it expires or is revoked.
     Renew(RenewArgs),
     /// Revoke all keys of a robot or an operator, including its secret and passes.
@@ -77,7 +84,7 @@ impl FolderArgs {
 pub(super) struct DaysArgs {
     /// Number of days for which the certificate is valid.
     #[arg(long, value_name = "DAYS", default_value_t = DAYS, value_parser = clap::value_parser!(i64).range(1..=DAYS_MAX))]
-    days: i64,
+    pub(super) days: i64,
 }
 
 #[derive(Debug, clap::Args)]
@@ -187,15 +194,8 @@ pub(super) struct RenewArgs {
     days: DaysArgs,
 }
 
-/// Maximum length of an operator's name in characters. A robot's id has the same limit.
-const OPERATOR_NAME_MAX: usize = 256;
-
 fn operator_name(text: &str) -> Result<String, String> {
-    let length = text.chars().count();
-    if text.trim().is_empty() || length > OPERATOR_NAME_MAX || text.chars().any(char::is_control) {
-        return Err(format!("expected a name of 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
-    }
-    Ok(text.to_owned())
+    check_operator_name(text).map(|()| text.to_owned())
 }
 
 pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
@@ -211,6 +211,9 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
             issue(&args.folder, &names, &roles, args.days.days, format)
         }
         KeysCommand::Secret(args) => secret(args, format),
+        KeysCommand::Request(args) => request::request(args, format),
+        KeysCommand::Sign(args) => request::sign(args, format),
+        KeysCommand::Install(args) => request::install(args, format),
         KeysCommand::Renew(args) => renew(args, format),
         KeysCommand::Revoke(args) => match revoke(args, format) {
             Ok(exit) => return exit,
@@ -227,6 +230,8 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
                 KeysError::Taken(_)
                 | KeysError::SecretTaken(_)
                 | KeysError::RevokedAlready(_)
+                | KeysError::FileExists(_)
+                | KeysError::Request { error: RequestError::Certified(_), .. }
                 | KeysError::Exists(_) => Exit::Failed,
                 _ => Exit::Usage,
             }

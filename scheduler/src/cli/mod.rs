@@ -41,6 +41,7 @@ mod plan;
 mod push;
 mod realtime;
 mod report;
+mod request;
 mod resume;
 mod robot;
 mod run;

@@ -29,6 +29,9 @@ pub struct Entry {
     /// When the certificate was revoked, in seconds since 1970, UTC. `None` if it was not revoked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<i64>,
+    /// Whether the certificate was requested for a key that is not in the authority's folder.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub requested: bool,
 }
 
 /// The kind of a certificate's owner.
@@ -110,7 +113,24 @@ impl Issued {
         };
         let roles = identity.roles.iter().map(|role| role.to_string()).collect();
         let (serial, expires) = (identity.serial.clone(), identity.expires);
-        self.entries.push(Entry { serial, kind, name, roles, issued: now, expires, revoked: None });
+        self.entries.push(Entry {
+            serial,
+            kind,
+            name,
+            roles,
+            issued: now,
+            expires,
+            revoked: None,
+            requested: false,
+        });
+    }
+
+    /// Like [`Self::add`], for a key that is not in the authority's folder.
+    pub(super) fn add_requested(&mut self, identity: &Identity, now: i64) {
+        self.add(identity, now);
+        if let Some(entry) = self.entries.last_mut() {
+            entry.requested = true;
+        }
     }
 
     /// All entries, in order of issue.

@@ -3,11 +3,14 @@
 //! Only the owner has access to the folder. It contains `authority.key`, `authority.pem`, the list of revoked certificates `revoked.pem`,
 //! and a record of all issued certificates (`issued.rs`). It also contains an identity file for each robot and operator: the private key,
 //! its certificate, and the authority's certificate. The contents of a certificate are defined in `downbeat_robot::tls`. For robots
-//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`).
+//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`). Keys that are made elsewhere are only
+//! certified (`request.rs`).
 
 mod files;
+mod fingerprint;
 mod issued;
 mod location;
+mod request;
 mod secrets;
 #[cfg(test)]
 mod tests;
@@ -21,20 +24,22 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use downbeat_robot::sealed::{self, RevokedSerials, Secret, SecretError};
 use downbeat_robot::tls::{self, Credentials, Identity, Name, Revoked, SERVER_NAME};
-use downbeat_robot::{Door, Roles};
+use downbeat_robot::{Door, KeyFileError, Roles};
 use downbeat_scripts::Protection;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DistinguishedName, DnType,
-    ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, RevokedCertParams, SanType,
-    SerialNumber,
+    ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, PublicKeyData,
+    RevokedCertParams, SanType, SerialNumber,
 };
 use time::OffsetDateTime;
 use urrcp::RobotId;
 
 use crate::journal::private::NotPrivate;
 pub use files::file_name;
+pub use fingerprint::Fingerprint;
 pub use issued::{Entry, Issued, Kind};
 pub use location::Location;
+pub use request::{Installed, Request, RequestError, Requested, Signed, Terms, install, request};
 pub use secrets::IfThere;
 
 const AUTHORITY_KEY: &str = "authority.key";
@@ -95,6 +100,34 @@ pub enum KeysError {
     /// A secret or a pass cannot be read or made.
     #[error(transparent)]
     Secret(#[from] SecretError),
+    /// A file with a private key cannot be used.
+    #[error(transparent)]
+    KeyFile(#[from] KeyFileError),
+    /// A file that would be written exists.
+    #[error("{} exists, and is not replaced; move it away, or name another folder with --out", .0.display())]
+    FileExists(PathBuf),
+    /// A request for a certificate, or a certificate, is not used.
+    #[error("{}: {error}", path.display())]
+    Request {
+        /// The path of the file.
+        path: PathBuf,
+        /// The reason.
+        error: RequestError,
+    },
+    /// The private key of this name is not in the authority's folder, because its certificate was requested.
+    #[error("the private key of {0} is on the machine that requested its certificate; make another key there with `downbeat keys request {kind} {name}`, and sign the request here with `downbeat keys sign --renew`", kind = kind_and_name(.0).0, name = kind_and_name(.0).1)]
+    KeyElsewhere(Name),
+    /// A text cannot be the name of a robot or an operator.
+    #[error("`{name}` cannot be a name: {error}")]
+    Name {
+        /// The text.
+        name: String,
+        /// The reason, or the expected form.
+        error: String,
+    },
+    /// Roles were requested for a robot.
+    #[error("robots have no roles; leave out --role")]
+    RolesOfRobot,
     /// No key was issued under this name.
     #[error("{name} has no key in this folder; names with a key: {known}")]
     Unknown {
@@ -121,6 +154,14 @@ impl KeysError {
     fn unknown(name: &Name, known: &[&str]) -> Self {
         let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
         Self::Unknown { name: name.to_string(), known }
+    }
+}
+
+/// Returns a name as two words of a command.
+fn kind_and_name(name: &Name) -> (&'static str, &str) {
+    match name {
+        Name::Robot(id) => ("robot", id.as_str()),
+        Name::Operator(name) => ("operator", name),
     }
 }
 
@@ -165,7 +206,8 @@ impl Authority {
         // The name contains a mark from the key, to distinguish this authority from others.
         let mark: String =
             key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
-        let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
+        let mut of_authority = named(&format!("Downbeat authority {mark}"))?;
+        set_validity(&mut of_authority, now, AUTHORITY_DAYS)?;
         of_authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
         of_authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
         let certificate = of_authority.self_signed(&key)?;
@@ -220,10 +262,13 @@ impl Authority {
     /// valid until it expires or is revoked.
     ///
     /// # Errors
-    /// Returns [`KeysError`], also if the name has no key.
+    /// Returns [`KeysError`], also if the name has no key, or if its key is not in this folder.
     pub fn renew(&self, name: &Name, now: i64, days: i64) -> Result<PathBuf, KeysError> {
         let issued = self.issued()?;
         let known = issued.latest(name).ok_or_else(|| issued.unknown(name))?;
+        if known.requested {
+            return Err(KeysError::KeyElsewhere(name.clone()));
+        }
         self.write_identity(name, &known.roles(), now, days)
     }
 
@@ -347,33 +392,38 @@ impl Authority {
     }
 
     fn write_identity(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
-        let (issuer, authority) = self.issuer()?;
         let key = KeyPair::generate()?;
-        let mut params = params(&name.to_string(), now, days)?;
-        for uri in Identity::uris(name, roles) {
-            params.subject_alt_names.push(SanType::URI(uri.try_into()?));
-        }
-        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        params.use_authority_key_identifier_extension = true;
-        params.extended_key_usages = match name {
-            Name::Robot(_) => {
-                params.subject_alt_names.push(SanType::DnsName(SERVER_NAME.try_into()?));
-                vec![ExtendedKeyUsagePurpose::ServerAuth]
-            }
-            Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
-        };
-        let certificate = params.signed_by(&key, &issuer)?;
-        let identity = Identity::of_certificate(certificate.der())
-            .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
+        let certified = self.certify(name, roles, &key, now, days)?;
         let path = files::identity_path(&self.folder, name);
         path.parent().map(files::make_private_folder).transpose()?;
         // The record is written first, because a certificate that is not in the record cannot be revoked.
         let mut issued = self.issued()?;
-        issued.add(&identity, now);
+        issued.add(&certified.identity, now);
         issued.write(&self.folder)?;
-        files::write_private(&path, &format!("{}{}{authority}", key.serialize_pem(), certificate.pem()))?;
+        let Certified { certificate, authority, .. } = certified;
+        files::write_private(&path, &format!("{}{certificate}{authority}", key.serialize_pem()))?;
         self.write_passes(&issued)?;
         Ok(path)
+    }
+
+    /// Makes a certificate for a public key. The caller has to record it.
+    fn certify(
+        &self,
+        name: &Name,
+        roles: &Roles,
+        key: &impl PublicKeyData,
+        now: i64,
+        days: i64,
+    ) -> Result<Certified, KeysError> {
+        let (issuer, authority) = self.issuer()?;
+        let mut params = profile(name, roles)?;
+        set_validity(&mut params, now, days)?;
+        params.use_authority_key_identifier_extension = true;
+        let certificate = params.signed_by(key, &issuer)?;
+        let identity = Identity::of_certificate(certificate.der())
+            .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
+        let issuer = Fingerprint::of(&issuer.key().subject_public_key_info());
+        Ok(Certified { certificate: certificate.pem(), identity, authority, issuer })
     }
 
     /// Returns the number of the next list. Robots accept a list only if its number is larger than that of the list in use, so it is larger
@@ -445,14 +495,61 @@ pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result
     }
 }
 
-fn params(common_name: &str, now: i64, days: i64) -> Result<CertificateParams, KeysError> {
+/// A new certificate, and the authority that has signed it.
+struct Certified {
+    /// The certificate, in PEM.
+    certificate: String,
+    identity: Identity,
+    /// The authority's certificate, in PEM.
+    authority: String,
+    /// The fingerprint of the authority's public key.
+    issuer: Fingerprint,
+}
+
+/// Maximum length of an operator's name in characters. A robot's id has the same limit.
+const OPERATOR_NAME_MAX: usize = 256;
+
+/// Checks that a text can be the name of an operator.
+///
+/// # Errors
+/// Returns the expected form as a sentence if it cannot.
+pub fn check_operator_name(text: &str) -> Result<(), String> {
+    let length = text.chars().count();
+    if text.trim().is_empty() || length > OPERATOR_NAME_MAX || text.chars().any(char::is_control) {
+        return Err(format!("expected a name of 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
+    }
+    Ok(())
+}
+
+fn named(common_name: &str) -> Result<CertificateParams, KeysError> {
     let mut params = CertificateParams::new(Vec::new())?;
     params.distinguished_name = DistinguishedName::new();
     let common_name: String = common_name.chars().take(COMMON_NAME_MAX).collect();
     params.distinguished_name.push(DnType::CommonName, common_name);
+    Ok(params)
+}
+
+/// Returns the contents of a robot's or operator's certificate, without its validity.
+fn profile(name: &Name, roles: &Roles) -> Result<CertificateParams, KeysError> {
+    let mut params = named(&name.to_string())?;
+    for uri in Identity::uris(name, roles) {
+        params.subject_alt_names.push(SanType::URI(uri.try_into()?));
+    }
+    params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+    params.extended_key_usages = match name {
+        Name::Robot(_) => {
+            params.subject_alt_names.push(SanType::DnsName(SERVER_NAME.try_into()?));
+            vec![ExtendedKeyUsagePurpose::ServerAuth]
+        }
+        Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
+    };
+    Ok(params)
+}
+
+fn set_validity(params: &mut CertificateParams, now: i64, days: i64) -> Result<(), KeysError> {
     params.not_before = instant(now - BACKDATED)?;
     params.not_after = instant(now + days * DAY)?;
-    Ok(params)
+    Ok(())
 }
 
 fn instant(seconds: i64) -> Result<OffsetDateTime, KeysError> {

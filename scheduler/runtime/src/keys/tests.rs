@@ -16,6 +16,8 @@ use tokio_rustls::{TlsAcceptor, TlsConnector};
 
 use super::*;
 
+mod requests;
+
 fn robot(id: &str) -> Name {
     Name::Robot(id.parse().unwrap())
 }
