@@ -34,7 +34,7 @@ pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
     }
 }
 
-fn named_by(variable: &str) -> Option<PathBuf> {
+pub(super) fn named_by(variable: &str) -> Option<PathBuf> {
     let path = std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from);
     path.map(|path| expand_home(&path))
 }

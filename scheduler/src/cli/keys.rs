@@ -6,14 +6,17 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use downbeat_robot::tls::Name;
 use downbeat_robot::{Role, Roles};
-use downbeat_scripts::{abbreviate_home, counted};
 use downbeat_scripts::shown::shown;
+use downbeat_scripts::{abbreviate_home, counted};
 use urrcp::RobotId;
 
+use super::passphrase::{self, PassphraseArgs};
 use super::push::{self, PushArgs};
 use super::request::{self, InstallArgs, RequestArgs, SignArgs};
 use super::{Exit, Format, ProjectArgs, console};
-use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, Location, RequestError, calendar, check_operator_name};
+use crate::keys::{
+    Ask, Authority, Entry, IfThere, KeysError, Kind, Location, RequestError, calendar, check_operator_name,
+};
 use crate::show::table::Rows;
 
 /// Default validity of a certificate in days.
@@ -38,7 +41,7 @@ Examples:
 )]
 pub(super) enum KeysCommand {
     /// Make the authority whose certificates all robots and operators of a site trust.
-    Init(FolderArgs),
+    Init(InitArgs),
     /// Make keys for robots, by the ids that they report.
     Robot(RobotKeysArgs),
     /// Make a key for an operator.
@@ -57,6 +60,8 @@ pub(super) enum KeysCommand {
     Revoke(RevokeArgs),
     /// Send the list of revoked keys to the robots of a fleet.
     Push(PushArgs),
+    /// Set, change or remove the passphrase of the authority's key.
+    Passphrase(PassphraseArgs),
     /// List all certificates and secrets.
     List(FolderArgs),
 }
@@ -76,8 +81,20 @@ impl FolderArgs {
     }
 
     pub(super) fn open(&self) -> Result<Authority, KeysError> {
-        self.location()?.open()
+        Ok(self.location()?.open()?.with_passphrase(passphrase::ask))
     }
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  downbeat keys init
+  downbeat keys init --passphrase --keys /media/safe/keys")]
+pub(super) struct InitArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    /// Ask for a passphrase that protects the authority's key. All commands that sign will ask for it.
+    #[arg(long)]
+    passphrase: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -220,6 +237,7 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
             Err(error) => Err(error),
         },
         KeysCommand::Push(args) => return push::push(args, format),
+        KeysCommand::Passphrase(args) => passphrase::passphrase(args, format),
         KeysCommand::List(args) => list(args, format),
     };
     match done {
@@ -239,9 +257,10 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
     }
 }
 
-fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
-    let location = args.location()?;
-    let authority = location.create(calendar())?;
+fn init(args: &InitArgs, format: Format) -> Result<(), KeysError> {
+    let location = args.folder.location()?;
+    let new_passphrase = args.passphrase.then_some(passphrase::ask_new as Ask);
+    let authority = location.create(calendar(), new_passphrase)?;
     let folder = location.folder();
     match format {
         Format::Json => {

@@ -37,6 +37,7 @@ mod metrics;
 mod missions;
 mod moves;
 mod outlet;
+mod passphrase;
 mod plan;
 mod push;
 mod realtime;

@@ -10,6 +10,7 @@ mod hmac;
 mod hostile;
 mod identity;
 mod location;
+mod passphrase;
 mod requests;
 mod revoked;
 mod seize;

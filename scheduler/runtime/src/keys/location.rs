@@ -4,7 +4,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use super::{AUTHORITY_KEY, Authority, KeysError};
+use super::{AUTHORITY_KEY, Ask, Authority, KeysError};
 
 /// The default folder of earlier versions, relative to the current folder.
 const FORMER_DEFAULT: &str = "keys";
@@ -57,13 +57,13 @@ impl Location {
         Authority::open(&self.folder)
     }
 
-    /// Creates a new authority. `now` is in seconds since 1970, UTC.
+    /// Creates a new authority, as [`Authority::create_with`] does.
     ///
     /// # Errors
-    /// Those of [`Authority::create`]; also [`KeysError::FormerDefault`], so that nobody creates a second authority by accident.
-    pub fn create(&self, now: i64) -> Result<Authority, KeysError> {
+    /// Those of [`Authority::create_with`]; also [`KeysError::FormerDefault`], so that nobody creates a second authority by accident.
+    pub fn create(&self, now: i64, new_passphrase: Option<Ask>) -> Result<Authority, KeysError> {
         self.reject_former_default(Path::new(FORMER_DEFAULT))?;
-        Authority::create(&self.folder, now)
+        Authority::create_with(&self.folder, now, new_passphrase)
     }
 
     fn reject_former_default(&self, former: &Path) -> Result<(), KeysError> {

@@ -4,17 +4,19 @@
 //! and a record of all issued certificates (`issued.rs`). It also contains an identity file for each robot and operator: the private key,
 //! its certificate, and the authority's certificate. The contents of a certificate are defined in `downbeat_robot::tls`. For robots
 //! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`). Keys that are made elsewhere are only
-//! certified (`request.rs`).
+//! certified (`request.rs`). The authority's key may have a passphrase (`passphrase.rs`).
 
 mod files;
 mod fingerprint;
 mod issued;
 mod location;
+mod passphrase;
 mod request;
 mod secrets;
 #[cfg(test)]
 mod tests;
 
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
@@ -26,6 +28,7 @@ use downbeat_robot::sealed::{self, RevokedSerials, Secret, SecretError};
 use downbeat_robot::tls::{self, Credentials, Identity, Name, Revoked, SERVER_NAME};
 use downbeat_robot::{Door, KeyFileError, Roles};
 use downbeat_scripts::Protection;
+use pkcs8::der::zeroize::Zeroizing;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DistinguishedName, DnType,
     ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, PublicKeyData,
@@ -39,6 +42,7 @@ pub use files::file_name;
 pub use fingerprint::Fingerprint;
 pub use issued::{Entry, Issued, Kind};
 pub use location::Location;
+pub use passphrase::{Ask, Passphrase, PassphraseError};
 pub use request::{Installed, Request, RequestError, Requested, Signed, Terms, install, request};
 pub use secrets::IfThere;
 
@@ -78,7 +82,9 @@ pub enum KeysError {
     #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
     /// No variable of the environment names a folder for keys.
-    #[error("no folder for keys: HOME is not set; set HOME, set DOWNBEAT_KEYS to a folder of your own, or name a folder with --keys")]
+    #[error(
+        "no folder for keys: HOME is not set; set HOME, set DOWNBEAT_KEYS to a folder of your own, or name a folder with --keys"
+    )]
     NoFolder,
     /// The default folder, named here, contains no authority, but the default folder of earlier versions does.
     #[error("{} contains no authority, but the folder `keys` does, which was the default of earlier versions; use it with `--keys keys`, or name another folder with --keys", .0.display())]
@@ -103,6 +109,9 @@ pub enum KeysError {
     /// A file with a private key cannot be used.
     #[error(transparent)]
     KeyFile(#[from] KeyFileError),
+    /// The authority's key has a passphrase that is not known, or cannot have this one.
+    #[error(transparent)]
+    Passphrase(#[from] PassphraseError),
     /// A file that would be written exists.
     #[error("{} exists, and is not replaced; move it away, or name another folder with --out", .0.display())]
     FileExists(PathBuf),
@@ -188,6 +197,10 @@ pub struct Authority {
     folder: PathBuf,
     /// Lock that admits only one process to the folder at a time. It is held while this value lives.
     _lock: File,
+    /// Asks for the passphrase of the key, if it has one.
+    ask: Ask,
+    /// The authority's key, in PEM without a passphrase, once it was needed.
+    key: OnceCell<Zeroizing<String>>,
 }
 
 impl Authority {
@@ -196,8 +209,17 @@ impl Authority {
     /// # Errors
     /// Returns [`KeysError`], also if an authority already exists.
     pub fn create(folder: &Path, now: i64) -> Result<Self, KeysError> {
+        Self::create_with(folder, now, None)
+    }
+
+    /// Creates a new authority in a folder. If `new_passphrase` is given, it is called for the passphrase of the key. `now` is in seconds
+    /// since 1970, UTC.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`], also if an authority already exists.
+    pub fn create_with(folder: &Path, now: i64, new_passphrase: Option<Ask>) -> Result<Self, KeysError> {
         files::make_private_folder(folder)?;
-        let own = Self { folder: folder.into(), _lock: files::lock(folder)? };
+        let own = Self::in_folder(folder)?;
         if own.path(AUTHORITY_KEY).exists() || own.path(AUTHORITY).exists() {
             return Err(KeysError::Exists(folder.into()));
         }
@@ -211,7 +233,10 @@ impl Authority {
         of_authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
         of_authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
         let certificate = of_authority.self_signed(&key)?;
-        files::write_private(&own.path(AUTHORITY_KEY), &key.serialize_pem())?;
+        let (path, pem) = (own.path(AUTHORITY_KEY), Zeroizing::new(key.serialize_pem()));
+        let passphrase = new_passphrase.map(|ask| ask(&path)).transpose()?;
+        own.write_key(&pem, passphrase.as_ref())?;
+        let _was_empty = own.key.set(pem);
         files::write_public(&own.path(AUTHORITY), &certificate.pem())?;
         own.write_revoked(&Issued::default(), now)?;
         Ok(own)
@@ -226,7 +251,71 @@ impl Authority {
             return Err(KeysError::NoAuthority(folder.into()));
         }
         files::check_private(folder, AUTHORITY_KEY)?;
-        Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
+        Self::in_folder(folder)
+    }
+
+    fn in_folder(folder: &Path) -> Result<Self, KeysError> {
+        let ask: Ask = |path| Err(PassphraseError::Unknown(path.into()));
+        Ok(Self { folder: folder.into(), _lock: files::lock(folder)?, ask, key: OnceCell::new() })
+    }
+
+    /// Returns the authority with a function that asks for the passphrase of its key. It is called at most once, when the key is needed.
+    #[must_use]
+    pub fn with_passphrase(self, ask: Ask) -> Self {
+        Self { ask, ..self }
+    }
+
+    /// Whether the authority's key has a passphrase.
+    ///
+    /// # Errors
+    /// Fails if the key cannot be read.
+    pub fn has_passphrase(&self) -> Result<bool, KeysError> {
+        Ok(passphrase::is_encrypted(&files::read(&self.path(AUTHORITY_KEY))?))
+    }
+
+    /// Gives the key a new passphrase, for which `new` is called after the present one has been verified. Returns the path of the key.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`]. The key is unchanged in that case.
+    pub fn set_passphrase(
+        &self,
+        new: impl FnOnce(&Path) -> Result<Passphrase, PassphraseError>,
+    ) -> Result<PathBuf, KeysError> {
+        let (path, key) = (self.path(AUTHORITY_KEY), self.key()?);
+        self.write_key(key, Some(&new(&path)?))?;
+        Ok(path)
+    }
+
+    /// Stores the key without a passphrase. Returns its path.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`]. The key is unchanged in that case.
+    pub fn remove_passphrase(&self) -> Result<PathBuf, KeysError> {
+        self.write_key(self.key()?, None)?;
+        Ok(self.path(AUTHORITY_KEY))
+    }
+
+    fn write_key(&self, pem: &str, passphrase: Option<&Passphrase>) -> Result<(), KeysError> {
+        let path = self.path(AUTHORITY_KEY);
+        match passphrase {
+            Some(passphrase) => files::write_private(&path, &passphrase::encrypt(pem, passphrase)?),
+            None => files::write_private(&path, pem),
+        }
+    }
+
+    /// Returns the authority's key in PEM. Asks for its passphrase if that is necessary.
+    fn key(&self) -> Result<&str, KeysError> {
+        if let Some(key) = self.key.get() {
+            return Ok(key);
+        }
+        let path = self.path(AUTHORITY_KEY);
+        let text = Zeroizing::new(files::read(&path)?);
+        let key = if passphrase::is_encrypted(&text) {
+            passphrase::decrypt(&text, &(self.ask)(&path)?, &path)?
+        } else {
+            text
+        };
+        Ok(self.key.get_or_init(|| key))
     }
 
     /// Returns the record of the certificates that the authority has issued.
@@ -279,13 +368,19 @@ impl Authority {
     /// Returns [`KeysError`], also if the name has no key, or only revoked ones.
     pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
         let mut issued = self.issued()?;
+        let has_secret = match name {
+            Name::Robot(robot) => self.robots_with_secret()?.contains(robot),
+            Name::Operator(_) => false,
+        };
+        if issued.latest(name).is_none() && !has_secret {
+            return Err(issued.unknown(name));
+        }
+        // Nothing is revoked in part because a passphrase is wrong.
+        self.key()?;
         let secret = match name {
             Name::Robot(robot) => self.delete_secret(robot)?,
             Name::Operator(_) => 0,
         };
-        if issued.latest(name).is_none() && secret == 0 {
-            return Err(issued.unknown(name));
-        }
         let revoked = issued.revoke(name, now) + secret;
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
@@ -385,7 +480,7 @@ impl Authority {
             path: path.into(),
             what: format!("invalid authority key or certificate: {error}"),
         };
-        let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
+        let key = KeyPair::from_pem(self.key()?).map_err(|error| damaged(&key_path, error))?;
         let certificate = files::read(&path)?;
         let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|error| damaged(&path, error))?;
         Ok((issuer, certificate))

@@ -16,6 +16,7 @@ use tokio_rustls::{TlsAcceptor, TlsConnector};
 
 use super::*;
 
+mod protected;
 mod requests;
 
 fn robot(id: &str) -> Name {
