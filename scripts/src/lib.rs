@@ -40,7 +40,7 @@ use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    budget, composed, duration, files, finding, identify, locate, node, render, source, tags,
+    budget, composed, duration, files, finding, identify, locate, node, render, source, syntax, tags,
 };
 
 pub use approach::{Approach, add_approach, plan_approach};

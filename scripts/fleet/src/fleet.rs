@@ -24,6 +24,7 @@ use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::project::{Project, folder_of};
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::{Source, is_general};
+use downbeat_yaml::syntax::conceal;
 use downbeat_yaml::tags::foreign_tags;
 
 mod apart;
@@ -361,9 +362,10 @@ fn read_with(
     };
     let document = match node::parse(&source) {
         Ok(document) => document,
-        Err(finding) => return (None, vec![finding]),
+        Err(finding) => return (None, vec![conceal(finding, &source, FleetKeys::NAMES)]),
     };
-    if let Some(mistaken) = identify::mistaken(&source, &document, Document::Fleet) {
+    let mistaken = identify::mistaken_by_keys(&source, &document, Document::Fleet, FleetKeys::NAMES);
+    if let Some(mistaken) = mistaken {
         return (None, vec![mistaken]);
     }
     let tags = foreign_tags(&source);
