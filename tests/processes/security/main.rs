@@ -10,6 +10,7 @@ mod hmac;
 mod hostile;
 mod identity;
 mod location;
+mod own_pki;
 mod passphrase;
 mod requests;
 mod revoked;
