@@ -59,9 +59,9 @@ fn robots_and_operators_with_certificates_of_openssl_accept_each_other() {
     );
     session.file(
         "show.yaml",
-        "scenario: show\nstart_tolerance: 1s\ncues: [{at: 0s, robots: cf1, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}]}}]\n",
+        "scenario: show\nstart_tolerance: 1s\ncues: [{at: 0s, robots: cf1, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}, {at: 600ms, to: 45}]}}]\n",
     );
-    session.run(&["run", "show.yaml", "--patience", "10s"]).says(0, &["show: done"]);
+    session.play(&["run", "show.yaml", "--patience", "10s"]).says(0, &["show: done"]);
     session.run(&["stop", "--fleet", "fleet.yaml"]).says(0, &["cf1: stop confirmed"]);
 
     follow(&session, revoke);

@@ -156,7 +156,7 @@ fn typed_passphrase_is_not_shown_and_must_be_repeated() {
         let mut process = on_terminal(&session, &terminal, &["keys", "init", "--passphrase"]);
         let prompts = ["new passphrase for keys/authority.key: ", "the same passphrase again: "];
         for (prompt, entry) in prompts.iter().zip(entries) {
-            watched.shows(prompt, ASKED_WITHIN);
+            watched.shows(prompt.trim_end(), ASKED_WITHIN);
             type_hidden(&terminal, &settings, entry);
         }
         let code = process.0.wait().unwrap().code();
@@ -177,7 +177,7 @@ fn typed_passphrase_is_not_shown_and_must_be_repeated() {
     let terminal = Terminal::new(120, 30);
     let (watched, settings) = (terminal.watch(), terminal.settings());
     let mut process = on_terminal(&session, &terminal, &["keys", "robot", "arm", "arm-2"]);
-    watched.shows("passphrase for keys/authority.key: ", ASKED_WITHIN);
+    watched.shows("passphrase for keys/authority.key:", ASKED_WITHIN);
     type_hidden(&terminal, &settings, "open sesame\r");
     watched.shows("robot arm-2", ASKED_WITHIN);
     assert_eq!(process.0.wait().unwrap().code(), Some(0));
