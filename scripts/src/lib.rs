@@ -40,7 +40,7 @@ use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    budget, composed, duration, files, finding, identify, locate, node, render, source, tags,
+    budget, composed, duration, files, finding, identify, locate, node, render, source, syntax, tags,
 };
 
 pub use approach::{Approach, add_approach, plan_approach};
@@ -76,6 +76,7 @@ pub use downbeat_space::space::{
 pub use downbeat_yaml::duration::parse_duration;
 pub use downbeat_yaml::files::{Files, Folder, NoFiles};
 pub use downbeat_yaml::finding::{Code, Finding, Related, Severity};
+pub use downbeat_yaml::home::{abbreviate_home, expand_home};
 pub use downbeat_yaml::open::open;
 pub use downbeat_yaml::project::Project;
 pub use downbeat_yaml::refusal::{Attempt, Refusal};

@@ -87,7 +87,13 @@ impl Credentials {
         let certificate = certificate
             .ok_or_else(|| incomplete(&format!("it contains {found} certificates, expected two or three")))?;
         let authorities = certificates.map(Authority::of_certificate).collect::<Result<_, _>>();
-        let authorities = authorities.map_err(|_| damaged())?;
+        let authorities: Vec<Authority> = authorities.map_err(|_| damaged())?;
+        // A robot that trusted the root would accept the certificates of all its intermediate authorities.
+        if let [issuer, other] = authorities.as_slice()
+            && other.has_signed(issuer)
+        {
+            return Err(incomplete("it contains the root of an intermediate authority"));
+        }
         let identity = Identity::of_certificate(&certificate)
             .map_err(|error| CredentialsError::Nameless { path: path.into(), error })?;
         Ok(Self { certificate, key, authorities, identity })

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use downbeat_robot::sealed::Held;
 use downbeat_robot::tls::Credentials;
-use downbeat_scripts::Fleet;
+use downbeat_scripts::{Fleet, expand_home};
 
 use super::console;
 use crate::journal::OpenedKeys;
@@ -34,8 +34,9 @@ pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
     }
 }
 
-fn named_by(variable: &str) -> Option<PathBuf> {
-    std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from)
+pub(super) fn named_by(variable: &str) -> Option<PathBuf> {
+    let path = std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from);
+    path.map(|path| expand_home(&path))
 }
 
 /// Returns the path of the Zenoh configuration: from the command line, or else from the environment.

@@ -13,7 +13,7 @@ use super::keys::FolderArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::{Drivers, StartPrograms};
-use crate::keys::{Authorities, Authority, Issuing, calendar};
+use crate::keys::{Authorities, Issuing, calendar};
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -106,7 +106,7 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
     let mut bytes = 0;
     let latest = {
         // The folder is locked while the authority is open.
-        let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
+        let authority = folder.open().map_err(|error| error.to_string())?;
         refuse_ended(fleet, &authority.authorities().map_err(|error| error.to_string())?)?;
         authority.renew_lists(calendar()).map_err(|error| error.to_string())?;
         for (robot, protection) in protected(fleet) {

@@ -48,7 +48,7 @@ Examples:
   downbeat stop --fleet fleet.yaml
   downbeat stop --home
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s
-  DOWNBEAT_IDENTITY=keys/operators/dora.pem downbeat stop"
+  DOWNBEAT_IDENTITY=dora.pem downbeat stop"
 )]
 pub(super) struct StopArgs {
     /// The mission. By default all missions.

@@ -37,7 +37,7 @@ use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
-use crate::identify::mistaken_for_scenario;
+use crate::identify::{Document, mistaken_by_keys};
 use crate::keys::Keys;
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan, Way, compensate};
@@ -67,7 +67,9 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Err(findings) => return Compiled { choreography: None, findings },
     };
     let root = documents.nodes.first();
-    if let Some(mistaken) = root.and_then(|root| mistaken_for_scenario(source, root, ScenarioKeys::NAMES)) {
+    let mistaken =
+        root.and_then(|root| mistaken_by_keys(source, root, Document::Scenario, ScenarioKeys::NAMES));
+    if let Some(mistaken) = mistaken {
         return Compiled { choreography: None, findings: vec![mistaken] };
     }
     let mut reader = Reader::default();

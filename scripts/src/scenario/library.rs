@@ -25,8 +25,9 @@ use crate::node::{self, Node};
 use crate::scope::Variable;
 use crate::shown::shortened;
 use crate::source::Source;
+use crate::syntax::conceal;
 use crate::tags::foreign_tags;
-use downbeat_reader::keys::Kind;
+use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
 /// Maximum number of files that a scenario may include, directly or indirectly.
@@ -103,9 +104,12 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
             if documents.names.len() > INCLUDES_MAX {
                 continue;
             }
-            let read = files.read(&name).and_then(|source| parse(&source).map(|node| (source, node)));
+            let read = files.read(&name).and_then(|source| match parse(&source) {
+                Ok(node) => Ok((source, node)),
+                Err(finding) => Err(conceal(finding, &source, IncludedKeys::NAMES)),
+            });
             if let Ok((_, node)) = &read
-                && let Some((message, hint)) = not_to_include(node)
+                && let Some((message, hint)) = not_to_include(node, IncludedKeys::NAMES)
             {
                 let mut reader = Reader::default();
                 let expected =

@@ -173,7 +173,7 @@ pub struct Finding {
     pub line: usize,
     /// Column in characters, counted from 1.
     pub column: usize,
-    /// The number of characters that the finding concerns.
+    /// The number of characters that the finding concerns. 0 if the line is not shown, because it may be confidential.
     pub width: usize,
     /// A description of the fault. It names the robot, device and step, if the fault concerns them.
     pub message: String,

@@ -34,6 +34,9 @@ pub struct Entry {
     /// the first authority of the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub authority: Option<String>,
+    /// Whether the certificate was requested for a key that is not in the authority's folder.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub requested: bool,
 }
 
 /// The kind of a certificate's owner.
@@ -131,7 +134,16 @@ impl Issued {
             expires,
             revoked: None,
             authority,
+            requested: false,
         });
+    }
+
+    /// Like [`Self::add`], for a key that is not in the authority's folder.
+    pub(super) fn add_requested(&mut self, identity: &Identity, now: i64) {
+        self.add(identity, now);
+        if let Some(entry) = self.entries.last_mut() {
+            entry.requested = true;
+        }
     }
 
     /// Attributes certificates without an authority to this one. Returns whether there were any.

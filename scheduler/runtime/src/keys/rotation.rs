@@ -17,6 +17,7 @@
 use std::path::PathBuf;
 
 use downbeat_robot::tls::{self, Name, Revoked};
+use pkcs8::der::zeroize::Zeroizing;
 use rcgen::KeyPair;
 
 use super::{
@@ -74,6 +75,15 @@ impl Authorities {
     }
 }
 
+/// What [`Authority::renew_all`] has done.
+#[derive(Debug)]
+pub struct Renewed {
+    /// The names with a new key, and the paths of their identity files.
+    pub made: Vec<(Name, PathBuf)>,
+    /// The names whose keys are not in the folder. They have to request new certificates.
+    pub requested: Vec<Name>,
+}
+
 /// How far the replacement of an authority has progressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
@@ -100,7 +110,7 @@ impl Authority {
         let params = authority_params(&key, now)?;
         // Both certificates have the same serial number, which rcgen derives from the key.
         let cross = params.signed_by(&key, &old.issuer)?;
-        files::write_private(&self.path(SUCCESSOR_KEY), &key.serialize_pem())?;
+        self.write_key(SUCCESSOR_KEY, &Zeroizing::new(key.serialize_pem()))?;
         files::write_public(&self.path(CROSS), &cross.pem())?;
         files::write_public(&self.path(SUCCESSOR), &params.self_signed(&key)?.pem())?;
         self.complete(now)
@@ -169,17 +179,29 @@ impl Authority {
         Ok(left.map(|(name, _)| name).collect())
     }
 
-    /// Makes a key of the current authority for each name that [`Authority::not_renewed`] returns. Returns the paths of the identity
-    /// files.
+    /// Makes a key of the current authority for each name that [`Authority::not_renewed`] returns, except for names whose keys were
+    /// requested.
     ///
     /// # Errors
     /// Returns [`KeysError`]. If the process is interrupted, a second call continues.
-    pub fn renew_all(&self, now: i64, days: i64) -> Result<Vec<(Name, PathBuf)>, KeysError> {
+    pub fn renew_all(&self, now: i64, days: i64) -> Result<Renewed, KeysError> {
+        let issued = self.issued()?;
+        let is_requested = |name: &Name| issued.latest(name).is_some_and(|entry| entry.requested);
+        let (requested, own): (Vec<Name>, Vec<Name>) =
+            self.not_renewed(now)?.into_iter().partition(is_requested);
         let renew = |name: Name| {
             let path = self.renew(&name, now, days)?;
             Ok((name, path))
         };
-        self.not_renewed(now)?.into_iter().map(renew).collect()
+        Ok(Renewed { made: own.into_iter().map(renew).collect::<Result<_, KeysError>>()?, requested })
+    }
+
+    /// Returns the names of the files of all keys that sign lists.
+    pub(super) fn key_files(&self) -> Result<&'static [&'static str], KeysError> {
+        Ok(match self.stage()? {
+            Stage::Single => &[AUTHORITY_KEY],
+            Stage::Rotating | Stage::Ended => &[AUTHORITY_KEY, SUCCESSOR_KEY],
+        })
     }
 
     /// Returns the authority that issues certificates.

@@ -16,6 +16,9 @@ use tokio_rustls::{TlsAcceptor, TlsConnector};
 
 use super::*;
 
+mod own_pki;
+mod protected;
+mod requests;
 mod rotation;
 
 fn robot(id: &str) -> Name {

@@ -90,6 +90,11 @@ impl Level {
     }
 }
 
+/// Returns the keys of an initialization block itself.
+pub(super) const fn of_block() -> &'static [&'static str] {
+    Level::Block.keys()
+}
+
 /// Synonyms that users may write instead of a key: the kind of map, the synonyms, and the correct key. Synonyms for keys of
 /// [`Level::Motion`] also apply to scripts and sensors.
 const WORDS: [(Level, &[&str], &str); 19] = [

@@ -27,7 +27,7 @@ impl Rotation {
 
     /// Makes new keys for the robot and the operator.
     fn renewed(&self) -> (Credentials, Credentials) {
-        let made = self.site.authority.renew_all(calendar(), 10).unwrap();
+        let made = self.site.authority.renew_all(calendar(), 10).unwrap().made;
         let read = |name: &Name| {
             let (_, path) = made.iter().find(|(made, _)| made == name).unwrap();
             Credentials::read(path).unwrap()
@@ -321,7 +321,7 @@ fn authority_ends_only_when_all_names_have_a_new_key() {
     authority.renew(&robot("r0"), calendar(), 10).unwrap();
     let refused = authority.end(End::IfRenewed, calendar()).unwrap_err().to_string();
     assert!(refused.starts_with("operator anna has only a key of the old authority"), "{refused}");
-    let made = authority.renew_all(calendar(), 10).unwrap();
+    let made = authority.renew_all(calendar(), 10).unwrap().made;
     assert_eq!(made.iter().map(|(name, _)| name).collect::<Vec<_>>(), [&operator()]);
     let (issued, authorities) = (authority.issued().unwrap(), authority.authorities().unwrap());
     let issuing = |entry: &Entry| authorities.issuing(entry.authority.as_deref());
