@@ -222,7 +222,7 @@ pub struct Authority {
     folder: PathBuf,
     /// Lock that admits only one process to the folder at a time. It is held while this value lives.
     _lock: File,
-    /// The keys in the folder, whose passphrase is asked for at most once.
+    /// The keys in the folder. It prompts for their passphrase at most once.
     keys: Unlocked,
 }
 
