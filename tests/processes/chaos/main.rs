@@ -8,6 +8,7 @@
 mod doctored;
 mod draw;
 mod held_up;
+mod instants;
 mod judge;
 mod play;
 

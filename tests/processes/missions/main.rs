@@ -3,6 +3,7 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod again;
+mod agree;
 mod claims;
 mod course;
 mod encodings;

@@ -2,9 +2,6 @@
 //! a random instant. Report and exit code have to agree with the robots' own logs. `DOWNBEAT_INSTANTS=100` sets the number of missions,
 //! `DOWNBEAT_INSTANTS_FIRST=17` the number of the first one.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
-#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
-
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
