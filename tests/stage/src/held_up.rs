@@ -6,11 +6,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Sentences or words of a report by which a slow machine is recognised, each with the outcome or failure that it indicates.
-const REASONS: [(&str, &str); 8] = [
+const REASONS: [(&str, &str); 9] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
-    ("this machine was delayed", "outcome `decision_late`"),
-    ("this machine or its disk was delayed", "outcome `commitment_late`"),
-    ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),
+    ("not started: this machine was delayed", "outcome `decision_late`"),
+    ("not started: this machine or its disk was delayed", "outcome `commitment_late`"),
+    ("\"outcome\":{\"decision_late\":", "outcome `decision_late`"),
+    ("\"outcome\":{\"commitment_late\":", "outcome `commitment_late`"),
     ("played to the end, but steps were up to", "late steps of a robot on this machine"),
     ("\"steps_late\":{\"late_ms\"", "late steps of a robot on this machine"),
     ("the link to the robot is too slow", "failure `too_slow` on a link of this machine"),
@@ -108,6 +109,8 @@ fn mission_is_repeated_only_if_the_machine_is_reported_too_slow() {
     let slow = "show: not started: this machine or its disk was delayed, and the commitment came too late";
     assert_eq!(attempts(&["show: done"]).0, 1);
     assert_eq!(attempts(&["show: failed and stopped", "show: done"]).0, 1);
+    let prepared_again = "stopping all robots: this machine was delayed, and the decision came 3 ms too late; reduce the load on this machine during missions; `up` is prepared again\nshow: done";
+    assert_eq!(attempts(&[prepared_again, "show: done"]).0, 1, "the mission was played");
     assert_eq!(attempts(&[slow, "show: done"]), (2, "show: done".to_owned()));
     assert_eq!(attempts(&[slow; 9]), (ATTEMPTS, slow.to_owned()));
     assert!(reason("{\"outcome\": {\n  \"commitment_late\": {\n    \"by_ms\": 3}}}").is_some());
@@ -133,7 +136,7 @@ fn repeated_mission_leaves_only_its_last_attempt_behind() {
     let play = || {
         count += 1;
         std::fs::create_dir(state.path().join(count.to_string())).unwrap();
-        ["this machine was delayed", "show: done"][count - 1]
+        ["not started: this machine was delayed", "show: done"][count - 1]
     };
     assert_eq!(played_in(state.path(), play, |report| (*report).to_owned()), "show: done");
     assert_eq!(missions(state.path()), ["2", "earlier"].map(|name| state.path().join(name)).into());
