@@ -338,5 +338,69 @@ class Mqtt(Ready):
             self.assertLess(time.monotonic(), until)
 
 
+class Crazyflie(Ready):
+    package = "cflib"
+    axes = [device("x", "position", -2, 2), device("height", "position", 0, 1.5, unit="m"), device("battery", "sensor", 0, 5)]
+    places = ["height=z", "battery=pm.vbat"]
+
+    def test_the_drone_is_armed_flies_to_positions_and_lands_at_the_end(self):
+        port = free_port()
+        self.counterpart("crazyflie", port)
+        driver = self.driver("crazyflie", f"udp://127.0.0.1:{port}", *self.places)
+        self.assertTrue(driver.init(*self.axes).startswith("ok {"))
+        self.assertEqual(self.received(), [])
+        driver.ask("ramp height position 0.8 200")
+        self.await_received("z 0.8")
+        driver.ask("set x position 0.5")
+        self.await_received("x 0.5")
+        self.assertIn("supervisor 0101", self.received())
+        driver.end()
+        self.assertIn("reading battery 4.", " ".join(driver.pushed))
+        received = self.received()
+        # The setpoint that would switch the motors off is not sent.
+        self.assertFalse([line for line in received if line.startswith("setpoint")])
+        self.assertTrue(received[-1].startswith("high_level"), received[-1])
+
+    def test_a_dead_drone_is_noticed(self):
+        port = free_port()
+        drone = self.counterpart("crazyflie", port)
+        driver = self.driver("crazyflie", f"udp://127.0.0.1:{port}", *self.places)
+        driver.init(*self.axes)
+        drone.kill()
+        self.assert_fails_without(driver)
+
+
+class UrRtde(Ready):
+    package = "rtde_control"
+
+    def test_joints_follow_ramps_and_jumps_are_refused(self):
+        host = f"127.0.0.{os.getpid() % 200 + 20}"
+        controller = self.counterpart("ur_rtde", host)
+        driver = self.driver("ur_rtde", host)
+        devices = [device("elbow", "position", 0, 150, unit="deg"), device("angle", "sensor", -360, 360, unit="deg")]
+        self.assertIn("`angle` is not a joint for `angle`", driver.init(*devices))
+        driver = self.driver("ur_rtde", host, "angle=elbow")
+        self.assertTrue(driver.init(*devices).startswith("ok {"))
+        self.assertEqual(self.received(), [])
+        self.assertIn("`elbow` is 80 deg away from 10, expected at most 20", driver.ask("set elbow position 10"))
+        driver.ask("ramp elbow position 100 300")
+        self.await_received("2 1.745329")
+        until = time.monotonic() + DEADLINE_S
+        while abs(float(driver.ask("read angle")) - 100) > 0.01:
+            self.assertLess(time.monotonic(), until)
+        self.assertIn("0 0.000000", self.received())
+        driver.end()
+        self.assertEqual(self.received()[-1], "stopped 1")
+        controller.kill()
+
+    def test_a_dead_controller_is_noticed(self):
+        host = f"127.0.1.{os.getpid() % 200 + 20}"
+        controller = self.counterpart("ur_rtde", host)
+        driver = self.driver("ur_rtde", host)
+        self.assertTrue(driver.init(device("elbow", "position", 0, 150)).startswith("ok {"))
+        controller.kill()
+        self.assert_fails_without(driver)
+
+
 if __name__ == "__main__":
     unittest.main()
