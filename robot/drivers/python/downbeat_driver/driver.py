@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Optional, Union
 
+from .group import Group
 from .output import Lines, protected_stdout
 from .plan import Plan, Step
 from .playing import Plans
@@ -36,6 +37,9 @@ class Driver:
     lookahead: Union[str, float, Mapping[str, Union[str, float]], None] = None
     """How far ahead the driver receives scripts, to time them itself in `play`: `"script"` for the whole script as soon as it is
     accepted, or milliseconds; for all devices, or by device id. If it is `None`, the driver receives each value when it is due."""
+
+    gather_ms: float = 100.0
+    """How long before the start `play_group` is called, in milliseconds."""
 
     samples_per_second: Union[float, Mapping[str, float], None] = None
     """How often a device is set while it moves linearly or slows down: for all devices, or by device id."""
@@ -101,6 +105,15 @@ class Driver:
                 self.set_frame([step.value])
             plan.reached(step)
             before = step
+
+    def play_group(self, group: Group) -> None:
+        """Plays the plans that start at the same instant, on one thread, for hardware that takes one trajectory for all of its joints.
+
+        If a class with `lookahead = "script"` has this method, it is called instead of `play`, `gather_ms` before the start, with all plans
+        that have arrived. A plan that arrives later is a group of its own: merge it with the trajectory that the hardware follows. Returns
+        when the last step is done. If a plan is cancelled, `group.wait_until` raises `PlanEnded`: stop the hardware then.
+        """
+        raise NotImplementedError
 
     def where(self, device: str, control_type: str) -> Optional[float]:
         """Position of a device, as far as the driver knows it. The default `play` moves from there to the first step of a plan. If it is
@@ -211,6 +224,8 @@ class Driver:
         if verb == "init":
             self.robot = Robot.of(json.loads(rest)["block"])
             self._check()
+            if type(self).play_group is not Driver.play_group:
+                self._plans.gather(lambda plans: self.play_group(Group(plans, self.where)), self.gather_ms / 1000)
             self.start(self.robot)
             self._has_started = True
             return "ok " + json.dumps(self._declared())
@@ -251,6 +266,8 @@ class Driver:
         known = inspect.signature(self.ramp).parameters
         if "seconds" not in known:
             raise TypeError(f"`ramp` takes {', '.join(known)}; expected device, control_type, value, seconds")
+        if type(self).play_group is not Driver.play_group and self.lookahead != "script":
+            raise TypeError(f"`play_group` needs whole scripts, but `lookahead` is {self.lookahead!r}; expected 'script'")
 
     def _declared(self) -> dict[str, object]:
         declared: dict[str, object] = {

@@ -17,6 +17,8 @@ GOAL_SPEED, GOAL_POSITION, POSITION = 104, 116, 132
 SPEED_MODE, POSITION_MODE, TURNS_MODE = 1, 3, 4
 TICKS_PER_DEGREE, MIDDLE = 4096 / 360, 2048
 TICKS_PER_DEGREE_PER_S = 1 / (0.229 * 6)
+TRIES_AT_FIRST, TRIES = 20, 2
+"""How often a question is asked before its answer is lost: each try takes some 40 ms. Values should not wait longer."""
 WATCHDOG_UNIT_MS, WATCHDOG_MS = 20, 1000
 """Servos in speed mode stop by themselves if the bus is silent for so long."""
 
@@ -46,10 +48,12 @@ class Dynamixel(Hardware):
         self.packets = self.sdk.PacketHandler(2.0)
         self.driven = [device for device in self.robot.devices.values() if not device.is_sensor]
         self.next_asked = 0
+        self.tries = TRIES_AT_FIRST
         for device in self.robot.devices.values():
             self._get(self.wired[device.id], MODE, 1)
         for device in self.driven:
             self._prepare(device, self.wired[device.id])
+        self.tries = TRIES
 
     def _prepare(self, device: Device, servo: int) -> None:
         mode = self._get(servo, MODE, 1)
@@ -73,18 +77,21 @@ class Dynamixel(Hardware):
 
     def _get(self, servo: int, address: int, size: int) -> int:
         read = {1: self.packets.read1ByteTxRx, 4: self.packets.read4ByteTxRx}[size]
-        value, result, error = self._twice(read, servo, address)
+        value, result, error = self._repeat(read, servo, address)
         self._verify(servo, result, error)
         return value - (1 << 32) if size == 4 and value >= 1 << 31 else value
 
     def _put(self, servo: int, address: int, size: int, value: int) -> None:
         write = {1: self.packets.write1ByteTxRx, 4: self.packets.write4ByteTxRx}[size]
-        self._verify(servo, *self._twice(write, servo, address, value & 0xFFFFFFFF))
+        self._verify(servo, *self._repeat(write, servo, address, value & 0xFFFFFFFF))
 
-    def _twice(self, call: Any, *arguments: int) -> Any:
-        """Repeats a question whose packet was lost."""
-        answer = call(self.port, *arguments)
-        return call(self.port, *arguments) if answer[-2] != self.sdk.COMM_SUCCESS else answer
+    def _repeat(self, call: Any, *arguments: int) -> Any:
+        """Asks again if a packet was lost."""
+        for _ in range(self.tries):
+            answer = call(self.port, *arguments)
+            if answer[-2] == self.sdk.COMM_SUCCESS:
+                break
+        return answer
 
     def _verify(self, servo: int, result: int, error: int) -> None:
         if result != self.sdk.COMM_SUCCESS:

@@ -110,6 +110,16 @@ class Hardware(Driver):
         except ImportError as error:
             raise Refused(f"{error}; install the package by pip install 'downbeat-driver[{self.extra}]'") from error
 
+    def ask_until_answered(self, seconds: float) -> None:
+        """Asks until the hardware answers. Raises `Lost` if it does not within this time."""
+        until = time.monotonic() + seconds
+        while True:
+            try:
+                return self.ask()
+            except Lost:
+                if time.monotonic() > until:
+                    raise
+
     # Calls of the edge.
 
     def start(self, robot: Robot) -> None:

@@ -35,7 +35,7 @@ class Maestro(Hardware):
     def connect(self) -> None:
         serial = self.module("serial")
         self.port = serial.Serial(self.options.target, self.options.baud, timeout=0.1, write_timeout=0.5)
-        self.ask()
+        self.ask_until_answered(2.0)
 
     def _question(self, command: bytes) -> int:
         self.port.reset_input_buffer()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from typing import Optional
 
@@ -35,14 +34,7 @@ class SerialLine(Hardware):
     def connect(self) -> None:
         serial = self.module("serial")
         self.port = serial.Serial(self.options.target, self.options.baud, timeout=0.2, write_timeout=0.5)
-        until = time.monotonic() + self.options.boot_s
-        while True:
-            try:
-                self.ask()
-                return
-            except Lost:
-                if time.monotonic() > until:
-                    raise
+        self.ask_until_answered(self.options.boot_s)
 
     def _exchange(self, line: str) -> str:
         # An answer that came too late must not be taken for the next one.
