@@ -20,7 +20,7 @@ TICKS_PER_DEGREE_PER_S = 1 / (0.229 * 6)
 TRIES_AT_FIRST, TRIES = 20, 2
 """How often a question is asked before its answer is lost: each try takes some 40 ms. Values should not wait longer."""
 WATCHDOG_UNIT_MS, WATCHDOG_MS = 20, 1000
-"""Servos in speed mode stop by themselves if the bus is silent for so long."""
+"""If the bus is silent for this time, servos in speed mode stop by themselves."""
 
 
 class Dynamixel(Hardware):
