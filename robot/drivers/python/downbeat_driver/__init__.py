@@ -3,6 +3,6 @@
 from .driver import Driver, Refused
 from .group import Frame, Group
 from .plan import Plan, PlanEnded, Step
-from .robot import Device, Robot, Value
+from .robot import Device, Reading, Robot, Value
 
-__all__ = ["Device", "Driver", "Frame", "Group", "Plan", "PlanEnded", "Refused", "Robot", "Step", "Value"]
+__all__ = ["Device", "Driver", "Frame", "Group", "Plan", "PlanEnded", "Reading", "Refused", "Robot", "Step", "Value"]

@@ -17,7 +17,7 @@ from .group import Group
 from .output import Lines, protected_stdout
 from .plan import Plan, Step
 from .playing import Plans
-from .robot import Robot, Value
+from .robot import Reading, Robot, Value
 
 
 SHOWN_MAX = 200
@@ -120,8 +120,8 @@ class Driver:
         `None`, the first value is set at the time of its step."""
         return None
 
-    def read(self, sensor: str) -> float:
-        """Current value of a sensor, in its unit."""
+    def read(self, sensor: str) -> Union[float, Reading]:
+        """Current value of a sensor, in its unit; a `Reading` if its age is known."""
         raise Refused(f"no sensor `{sensor}` is connected")
 
     def ping(self) -> Optional[float]:
@@ -134,11 +134,12 @@ class Driver:
 
     # Methods that you call.
 
-    def push_reading(self, sensor: str, value: float) -> None:
-        """Reports a reading to the edge, which then need not request it. Can be called from any thread, after `start`."""
+    def push_reading(self, sensor: str, value: float, *, age: Optional[float] = None) -> None:
+        """Reports a reading to the edge, which then need not request it. `age` are the seconds since the hardware took the value, if they
+        are known. Can be called from any thread, after `start`."""
         if not math.isfinite(value):
             raise ValueError(f"the reading of {sensor} is {value}, expected a finite number")
-        self._push(f"reading {sensor} {float(value)!r}")
+        self._push(f"reading {sensor} {_reading(value if age is None else Reading(value, age))}")
 
     def fault(self, reason: str) -> None:
         """Reports to the edge that the hardware has failed: all commands end, and the program is restarted. Can be called from any
@@ -252,7 +253,7 @@ class Driver:
             device, control_type, value, milliseconds = rest.split()
             self.ramp(device, control_type, float(value), float(milliseconds) / 1000)
         elif verb == "read":
-            return repr(float(self.read(rest)))
+            return _reading(self.read(rest))
         elif verb == "ping":
             age = self.ping()
             return "ok" if age is None else f"ok {age * 1000:.3f}"
@@ -301,3 +302,10 @@ class Driver:
         horizons = {device: of for device, of in ahead.items() if not isinstance(of, str)}
         both = {"lookahead": whole, "lookahead_ms": horizons}
         return {key: of_devices for key, of_devices in both.items() if of_devices}
+
+
+def _reading(of: Union[float, Reading]) -> str:
+    """A reading as the edge expects it: the value, and its age in milliseconds if it is known."""
+    if isinstance(of, Reading):
+        return f"{float(of.value)!r} {of.age * 1000:.3f}"
+    return repr(float(of))
