@@ -50,8 +50,8 @@ class Setup:
     fade: str
     value: callable
     unit: str = "%"
-    repeats: bool = False
-    """Whether the driver repeats the last values, because the hardware expects a stream."""
+    fade_scale: float = 1.0
+    """Of this part of a unit, the logged values of the ramp are multiples."""
 
 
 SETUPS = {
@@ -59,10 +59,10 @@ SETUPS = {
     "maestro": Setup("serial", "{port}", "0", "1", lambda text: (int(text) / 4 - 1000) / 10),
     "pca9685": Setup("downbeat_lab", "1", "0", "1", lambda text: (int(text) * 4.88 - 1000) / 10),
     "dynamixel": Setup("dynamixel_sdk", "{port}", "1", "2", lambda text: (int(text) - 2048) / 4096 * 360, "deg"),
-    "modbus": Setup("pymodbus", "127.0.0.1:{number}", "h40", "h41:int16*100", float),
+    "modbus": Setup("pymodbus", "127.0.0.1:{number}", "h40", "h41:int16*100", float, fade_scale=0.01),
     "opcua": Setup("asyncua", "opc.tcp://127.0.0.1:{number}/", "'ns=2;s=arm'", "'ns=2;s=lamp'", float),
     "mqtt": Setup("paho", "127.0.0.1:{number}", "stage/level", "stage/fade", float),
-    "crazyflie": Setup("cflib", "udp://127.0.0.1:{number}", "x", "z", lambda text: float(text) * 100, "cm", True),
+    "crazyflie": Setup("cflib", "udp://127.0.0.1:{number}", "x", "z", lambda text: float(text) * 100, "cm"),
     "ur_rtde": Setup("rtde_control", HOST, "base", "wrist_3", lambda text: float(text) * 57.29577951, "deg"),
 }
 PLACES = {
@@ -141,7 +141,8 @@ class Stage:
             at, place, value = line.split(" ", 2)
             seconds = float(at) / (1 if "." in at else 1e9)
             if place in self.places:
-                found.append((seconds, self.places.index(place), self.setup.value(value)))
+                device = self.places.index(place)
+                found.append((seconds, device, self.setup.value(value) * (self.setup.fade_scale if device == 1 else 1.0)))
         return found
 
     def run_until_motion(self, scenario):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import threading
 import time
 from collections.abc import Sequence
@@ -15,7 +16,9 @@ from .units import ANGLES, LENGTHS, factor
 AXES = {"x": "stateEstimate.x", "y": "stateEstimate.y", "z": "stateEstimate.z", "yaw": "stateEstimate.yaw"}
 """The variable of the drone's estimate for each axis."""
 REPORT_MS = 50
-LANDING_M_PER_S = 0.3
+LANDING_M_PER_S = TAKE_OFF_M_PER_S = 0.3
+TAKE_OFF_SPARE_S = 3.0
+"""How much longer a take-off may last than planned."""
 
 
 class Crazyflie(Hardware):
@@ -27,6 +30,10 @@ class Crazyflie(Hardware):
     moves_per_second = 50.0
     repeat_s = 0.05
     hardware_silence_ms = 1000
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--take-off", type=float, metavar="METRES", help="take off to this height before the driver is ready, for example to measure the drone by `downbeat calibrate`; it needs a longer --driver-start-timeout")
 
     def wire(self, device: Device, place: Optional[str]) -> str:
         place = place or device.id
@@ -59,6 +66,26 @@ class Crazyflie(Hardware):
                 self._report(log, [variable], lambda values, sensor=sensor: self.push_reading(sensor, *values.values()))
         if not reported.wait(1):
             raise ConnectionError("the drone does not report its position; it needs a positioning system, such as a Flow deck")
+        self.has_armed = False
+        if self.options.take_off:
+            self._take_off(self.options.take_off)
+
+    def _arm(self) -> None:
+        if not self.has_armed:
+            self.drone.supervisor.send_arming_request(True)
+            self.has_armed = True
+
+    def _take_off(self, height: float) -> None:
+        """Takes off, and returns when the drone is at this height. It hovers there by itself."""
+        self._arm()
+        seconds = max(1.0, height / TAKE_OFF_M_PER_S)
+        self.drone.high_level_commander.takeoff(height, seconds)
+        until = time.monotonic() + seconds + TAKE_OFF_SPARE_S
+        while self.estimate[AXES["z"]] < 0.9 * height:
+            if time.monotonic() > until:
+                self.disconnect()
+                raise OSError(f"the drone has not reached {height:g} m, but {self.estimate[AXES['z']]:.2f} m; it lands")
+            time.sleep(0.02)
 
     def _fail(self, reason: str, ready: threading.Event) -> None:
         self.failure = reason
@@ -79,7 +106,7 @@ class Crazyflie(Hardware):
     def write(self, values: Sequence[Value]) -> None:
         if not self.goal:
             self.goal = {axis: self.estimate[variable] for axis, variable in AXES.items()}
-            self.drone.supervisor.send_arming_request(True)
+            self._arm()
         for value in values:
             self.goal[self.wired[value.device]] = value.value * self.units[value.device]
         self.drone.commander.send_position_setpoint(*(self.goal[axis] for axis in AXES))
@@ -92,7 +119,7 @@ class Crazyflie(Hardware):
 
     def disconnect(self) -> None:
         height = self.estimate.get(AXES["z"], 0.0)
-        if self.goal:
+        if self.has_armed:
             # The drone lands by itself, even if this program ends before.
             self.drone.commander.send_notify_setpoint_stop()
             self.drone.high_level_commander.land(0.0, max(1.0, height / LANDING_M_PER_S))

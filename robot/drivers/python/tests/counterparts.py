@@ -252,6 +252,9 @@ class Crazyflie:
             self.position = list(struct.unpack("<ffff", data[1:17]))
             for axis, value in zip(("x", "y", "z", "yaw"), self.position):
                 self.log.value(axis, f"{value:.6g}")
+        elif port == self.HIGH_LEVEL and data[0] == 7:
+            self.position[2] = struct.unpack_from("<f", data, 2)[0]
+            self.log.value("take_off", f"{self.position[2]:.6g}")
         elif port in (self.COMMANDER, self.HIGH_LEVEL) or port == self.SUPERVISOR and channel == 1:
             names = {self.COMMANDER: "setpoint", self.HIGH_LEVEL: "high_level", self.SUPERVISOR: "supervisor"}
             self.log.value(names[port], data[:2].hex())

@@ -361,6 +361,15 @@ class Crazyflie(Ready):
         self.assertFalse([line for line in received if line.startswith("setpoint")])
         self.assertTrue(received[-1].startswith("high_level"), received[-1])
 
+    def test_the_drone_hovers_before_it_is_measured_and_lands_afterwards(self):
+        port = free_port()
+        self.counterpart("crazyflie", port)
+        driver = self.driver("crazyflie", f"udp://127.0.0.1:{port}", *self.places, "--take-off", "0.5")
+        self.assertTrue(driver.init(*self.axes).startswith("ok {"))
+        self.assertEqual(self.received(), ["supervisor 0101", "take_off 0.5"])
+        driver.end()
+        self.assertTrue(self.received()[-1].startswith("high_level 08"), self.received())
+
     def test_a_dead_drone_is_noticed(self):
         port = free_port()
         drone = self.counterpart("crazyflie", port)
