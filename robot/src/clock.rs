@@ -56,7 +56,7 @@ impl HostClock {
     }
 
     /// Returns the host's time at `instant`, which may be before the clock was anchored.
-    fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
+    pub(crate) fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
         match instant.checked_duration_since(self.instant) {
             Some(after) => self.timestamp + Span::from(after),
             None => self.timestamp - Span::from(self.instant.duration_since(instant)),

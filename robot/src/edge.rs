@@ -6,7 +6,8 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{Demand, Mailbox, News, PlanNews, Wanted};
+use crate::driver::{Demand, Mailbox, News, PlanNews, Sampled, Wanted};
+use crate::hardware::SensorReading;
 use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, Output, Robot, SetValue};
@@ -93,7 +94,8 @@ impl Edge {
     }
 
     /// Handles a report from the driver's thread.
-    pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
+    pub(crate) fn hear(&mut self, clock: &HostClock, news: News) {
+        let now = clock.now();
         match news {
             News::There { connection, latency, lookahead } => {
                 self.connection = connection;
@@ -114,6 +116,10 @@ impl Edge {
                 }
             }
             News::Reading { id, reading } => {
+                let reading = reading.map(|Sampled { value, taken }| SensorReading {
+                    value,
+                    taken: taken.map(|taken| clock.timestamp_at(taken).assume_clock()),
+                });
                 self.tell(now, |machine, now, out| machine.reading_came(now, id, reading, out));
             }
         }

@@ -52,6 +52,21 @@ pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ReadingId(pub u64);
 
+/// The answer of a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorReading {
+    /// The value, in the sensor's unit.
+    pub value: f64,
+    /// When the value was taken, by the robot's clock. `None` if the hardware does not state it.
+    pub taken: Option<Timestamp<Robot>>,
+}
+
+impl From<f64> for SensorReading {
+    fn from(value: f64) -> Self {
+        Self { value, taken: None }
+    }
+}
+
 /// Whether the hardware is present, as far as the robot's state machine knows.
 #[derive(Clone, Debug)]
 enum Presence {

@@ -127,7 +127,7 @@ pub use downbeat_key_file::{KeyFileError, replace};
 pub use downbeat_realtime as realtime;
 #[cfg(feature = "sealed")]
 pub use downbeat_sealed as sealed;
-pub use hardware::ReadingId;
+pub use hardware::{ReadingId, SensorReading};
 #[cfg(feature = "host")]
 pub use host::{
     Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink, audit_file,

@@ -483,7 +483,7 @@ impl SimulatedRobot {
         let Some(hands) = self.hands.as_ref().filter(|hands| hands.dead_since.is_none()) else { return };
         let value = hands.readings.get(sensor).copied().unwrap_or(0.0);
         let mut answers = Vec::new();
-        self.robot.reading_came(self.robot_from_true(now), reading, Ok(value), &mut answers);
+        self.robot.reading_came(self.robot_from_true(now), reading, Ok(value.into()), &mut answers);
         for answer in answers {
             if let Output::Send { link, message } = answer {
                 self.send(now, link, message);

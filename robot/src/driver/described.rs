@@ -19,13 +19,13 @@ pub(super) enum Mismatch {
 ///
 /// # Errors
 /// The mismatch. A description that cannot be parsed counts as a match.
-pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Mismatch> {
+pub(super) fn fits(schema: &str, block: &InitializationBlock, expected: &RobotId) -> Result<(), Mismatch> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
         tracing::warn!(robot = %block.id, "the robot's description is not JSON, so its devices are not checked");
         return Ok(());
     };
-    if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {
-        return Err(Mismatch::Id { found: told.to_owned(), expected: block.id.clone() });
+    if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != expected.as_str()) {
+        return Err(Mismatch::Id { found: told.to_owned(), expected: expected.clone() });
     }
     let Some(devices) = schema.get("devices").and_then(Value::as_object) else { return Ok(()) };
     for device in block.devices.iter().filter(|device| range(device).is_some()) {
@@ -83,16 +83,26 @@ mod tests {
     fn robot_with_another_id_is_not_the_expected_one() {
         let told = |id: &str| {
             let schema = format!(r#"{{"id": "{id}"}}"#);
-            fits(&schema, &block("left", 0.0, 1.0)).map_err(|mismatch| mismatch.to_string())
+            let block = block("left", 0.0, 1.0);
+            fits(&schema, &block, &block.id).map_err(|mismatch| mismatch.to_string())
         };
         assert_eq!(told("r"), Ok(()));
         assert_eq!(told("s"), Err("its id is `s`, expected `r`".into()));
     }
 
     #[test]
+    fn hardware_may_report_another_id_than_the_robot_has() {
+        let (block, factory) = (block("left", 0.0, 1.0), RobotId::new("factory").unwrap());
+        assert_eq!(fits(r#"{"id": "factory"}"#, &block, &factory), Ok(()));
+        let other = fits(r#"{"id": "r"}"#, &block, &factory).map_err(|mismatch| mismatch.to_string());
+        assert_eq!(other, Err("its id is `r`, expected `factory`".into()));
+    }
+
+    #[test]
     fn robot_with_other_devices_or_ranges_is_not_the_expected_one() {
         let says = |schema: &str, device: &str, min, max| {
-            fits(schema, &block(device, min, max)).map_err(|mismatch| mismatch.to_string())
+            let block = block(device, min, max);
+            fits(schema, &block, &block.id).map_err(|mismatch| mismatch.to_string())
         };
         assert_eq!(says(SCHEMA, "left", -50.0, 100.0), Ok(()));
         assert_eq!(says(SCHEMA, "lamp", 0.0, 1e9), Ok(()), "no range is told");

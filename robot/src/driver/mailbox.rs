@@ -156,7 +156,7 @@ struct State {
     /// Properties of the connected driver; `None` while disconnected.
     manners: Option<DriverTraits>,
     /// Last unsolicited reading of each sensor, and its time.
-    pushed: HashMap<DeviceId, (f64, Instant)>,
+    pushed: HashMap<DeviceId, PushedReading>,
     fault: Option<String>,
     demand: Demand,
     /// Signs of life of the connection; `None` while disconnected.
@@ -175,6 +175,21 @@ struct Waiting {
     follow: Option<Movement>,
     /// Order number of the oldest order that this entry includes.
     since: u64,
+}
+
+/// A value of a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sampled {
+    pub(crate) value: f64,
+    /// When the value was taken. `None` if the driver does not state it.
+    pub(crate) taken: Option<Instant>,
+}
+
+/// An unsolicited reading of a sensor.
+#[derive(Clone, Copy, Debug)]
+struct PushedReading {
+    reading: Sampled,
+    came: Instant,
 }
 
 /// A question whether the hardware has taken all orders for a device up to the number `up_to`.
@@ -214,7 +229,7 @@ impl Mailbox {
         self.tolerance
     }
 
-    fn now(&self) -> Instant {
+    pub(super) fn now(&self) -> Instant {
         #[cfg(test)]
         if let Some(stopped_at) = self.stopped_at {
             return stopped_at;
@@ -362,20 +377,20 @@ impl Mailbox {
     }
 
     /// Stores an unsolicited sensor reading.
-    pub(super) fn read_by_itself(&self, sensor: &DeviceId, reading: f64) {
+    pub(super) fn read_by_itself(&self, sensor: &DeviceId, reading: Sampled) {
         let now = self.now();
         let mut state = self.lock();
         let room = state.pushed.len() < PUSHED_MAX || state.pushed.contains_key(sensor);
         if state.connection > 0 && room {
-            state.pushed.insert(sensor.clone(), (reading, now));
+            state.pushed.insert(sensor.clone(), PushedReading { reading, came: now });
         }
     }
 
     /// Returns a sensor's last unsolicited reading, if it is not older than `within`.
-    pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<f64> {
+    pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<Sampled> {
         let now = self.now();
-        let (reading, at) = *self.lock().pushed.get(sensor)?;
-        (now.saturating_duration_since(at) <= within).then_some(reading)
+        let PushedReading { reading, came } = *self.lock().pushed.get(sensor)?;
+        (now.saturating_duration_since(came) <= within).then_some(reading)
     }
 
     /// Records the duration of a call, and whether it shows that the hardware is alive.

@@ -34,7 +34,7 @@ use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 #[cfg(feature = "dmx")]
 pub use self::dmx::{AtEnd, DmxAddress, DmxFixture, FRAMES_PER_SECOND, PRIORITY, Protocol as DmxProtocol};
 pub use self::lifeline::Lifeline;
-pub(crate) use self::mailbox::{Key, Mailbox};
+pub(crate) use self::mailbox::{Key, Mailbox, Sampled};
 #[cfg(feature = "osc")]
 pub use self::osc::{OscAddress, OscRobot};
 pub(crate) use self::planned::PlanNews;
@@ -135,6 +135,12 @@ pub trait Driver: Send {
     /// # Errors
     /// The reason why there is no reading.
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError>;
+
+    /// Returns the time between the sampling of the value that [`Driver::read`] returned last and its return. `None`, the default: the
+    /// driver does not know it.
+    fn age_of_reading(&self) -> Option<Duration> {
+        None
+    }
 
     /// Checks whether the hardware is available and able to move: only the hardware's own answer proves that.
     ///

@@ -28,7 +28,7 @@ use serde::Deserialize;
 use serde_json::json;
 use urrcp::{ControlType, DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint, Span};
 
-use super::running::{NoAnswer, Running, UnsolicitedInput};
+use super::running::{AgedReading, NoAnswer, Running, UnsolicitedInput, milliseconds};
 use super::{
     Driver, DriverError, Lifeline, PINGS_BOUNDS, Pushes, READINGS_BOUNDS, Ramp, Rates, SAMPLES_BOUNDS,
 };
@@ -120,6 +120,8 @@ pub struct Program {
     ear: Option<UnsolicitedInput>,
     /// Time between the hardware's last sign of life and the last ping, if the program reports it.
     last_sign: Option<Duration>,
+    /// Age of the last reading, if the program stated it.
+    age_of_reading: Option<Duration>,
     /// If the edge is silent for longer than the first time, the program starts no script; after the second, it ends a running script.
     /// Both are in milliseconds.
     edge_silence_ms: (u32, u32),
@@ -149,6 +151,7 @@ impl Program {
             declared: Declared::default(),
             ear: None,
             last_sign: None,
+            age_of_reading: None,
             edge_silence_ms: EDGE_SILENCE_MS,
         })
     }
@@ -346,13 +349,6 @@ fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     block.devices.iter().filter(moves).map(|device| &device.id)
 }
 
-/// Parses a program's duration, a number of milliseconds.
-fn milliseconds(text: &str) -> Option<Duration> {
-    let milliseconds: f64 = text.parse().ok().filter(|milliseconds: &f64| milliseconds.is_finite())?;
-    // A program that takes timestamps from another clock may report a slightly negative duration.
-    Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0).ok()
-}
-
 fn all_values(setpoint: &Setpoint) -> Vec<f64> {
     std::iter::once(setpoint.value).chain(setpoint.more.iter().copied()).collect()
 }
@@ -385,7 +381,13 @@ impl Driver for Program {
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
         let line = format!("read {sensor}");
         let answer = self.ask(&line, self.timeouts.answer)?;
-        answer.parse().map_err(|_| self.misunderstood(&line, &answer))
+        let reading = AgedReading::of(&answer).ok_or_else(|| self.misunderstood(&line, &answer))?;
+        self.age_of_reading = reading.age;
+        Ok(reading.value)
+    }
+
+    fn age_of_reading(&self) -> Option<Duration> {
+        self.age_of_reading
     }
 
     fn ping(&mut self) -> Result<(), DriverError> {
@@ -588,11 +590,30 @@ mod tests {
         let duration = Duration::from_millis(1_500);
         let ramp = Ramp { control_type: ControlType::Position, to: 9.0, duration };
         program.ramp(&arm(), ramp).unwrap();
-        assert_eq!(program.read(&DeviceId::new("eye").unwrap()), Ok(4.5));
+        let read = |program: &mut Program, sensor| {
+            let value = program.read(&DeviceId::new(sensor).unwrap());
+            value.map(|value| AgedReading { value, age: program.age_of_reading() })
+        };
+        assert_eq!(read(program, "eye"), Ok(AgedReading { value: 4.5, age: None }));
         program.ping().unwrap();
         assert_eq!(program.last_sign(), None);
         let told = ["hello", "set arm position 5 6.5 7", "ramp arm position 9 1500", "read eye", "ping"];
         assert_eq!(logged.lines(), told);
+    }
+
+    #[test]
+    fn program_may_answer_a_request_for_a_reading_with_its_age() {
+        let answers =
+            "read*) n=$((n+1)); case $n in 1) echo 4.5 12.5;; 2) echo 4.5;; *) echo 4.5 soon;; esac;;";
+        let mut logged = Logged::new("ages", answers);
+        let (program, eye) = (&mut logged.program, DeviceId::new("eye").unwrap());
+        program.connect().unwrap();
+        for age in [Some(Duration::from_micros(12_500)), None] {
+            assert_eq!(program.read(&eye), Ok(4.5));
+            assert_eq!(program.age_of_reading(), age);
+        }
+        let error = program.read(&eye).unwrap_err().to_string();
+        assert!(error.ends_with("sent an unexpected answer to `read eye`: `4.5 soon`"), "{error}");
     }
 
     #[test]

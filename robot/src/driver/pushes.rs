@@ -1,10 +1,12 @@
 //! Unsolicited reports from hardware.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use urrcp::{DeviceId, Timestamp};
 
 use super::Mailbox;
+use super::mailbox::Sampled;
 use crate::clock::SystemClock;
 use crate::plans::{PlanEvent, PlanId};
 
@@ -33,7 +35,12 @@ impl Pushes {
     /// Reports the current reading of a sensor, in the sensor's unit. The robot answers requests with this reading for the sensor's
     /// `max_delay`, or for one second if it declares none. Ignored while the hardware is not connected.
     pub fn reading(&self, sensor: &DeviceId, reading: f64) {
-        self.0.read_by_itself(sensor, reading);
+        self.0.read_by_itself(sensor, Sampled { value: reading, taken: None });
+    }
+
+    /// Reports a reading like [`Pushes::reading`], with the time since its value was taken.
+    pub fn reading_of_age(&self, sensor: &DeviceId, reading: f64, age: Duration) {
+        self.0.read_by_itself(sensor, Sampled { value: reading, taken: self.0.now().checked_sub(age) });
     }
 
     /// Reports an event of a script that the driver times by itself. `at` is a time on the clock to which the script's times refer. If

@@ -64,14 +64,10 @@ impl UnsolicitedInput {
         match line.split_once(' ') {
             Some(("fault", reason)) => self.pushes.fault(reason.trim()),
             Some(("reading", reading)) => {
-                let read = reading.split_once(' ').and_then(|(sensor, value)| {
-                    Some((self.sensors.get(sensor.trim())?, value.trim().parse().ok()?))
-                });
-                match read {
-                    Some((sensor, value)) => self.pushes.reading(sensor, value),
-                    None => self.pushes.fault(format!(
-                        "the program sent `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
-                    )),
+                if self.hears_reading(reading).is_none() {
+                    self.pushes.fault(format!(
+                        "the program sent `{line}`, expected `reading SENSOR NUMBER` or `reading SENSOR NUMBER MILLISECONDS` with a sensor of this robot"
+                    ));
                 }
             }
             Some((word @ ("started" | "step" | "done" | "failed" | "cancelled"), rest)) => {
@@ -84,6 +80,45 @@ impl UnsolicitedInput {
         }
         true
     }
+
+    /// Handles `SENSOR NUMBER` or `SENSOR NUMBER MILLISECONDS`. Returns `None` if the text is neither.
+    fn hears_reading(&self, text: &str) -> Option<()> {
+        let (sensor, reading) = text.split_once(' ')?;
+        let (sensor, reading) = (self.sensors.get(sensor.trim())?, AgedReading::of(reading)?);
+        match reading.age {
+            Some(age) => self.pushes.reading_of_age(sensor, reading.value, age),
+            None => self.pushes.reading(sensor, reading.value),
+        }
+        Some(())
+    }
+}
+
+/// A reading, as a program writes it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct AgedReading {
+    pub(super) value: f64,
+    /// Time since the value was taken, if the program states it.
+    pub(super) age: Option<Duration>,
+}
+
+impl AgedReading {
+    /// Parses `NUMBER` or `NUMBER MILLISECONDS`.
+    pub(super) fn of(text: &str) -> Option<Self> {
+        let mut words = text.split_whitespace();
+        let value = words.next()?.parse().ok()?;
+        let age = match words.next() {
+            Some(word) => Some(milliseconds(word)?),
+            None => None,
+        };
+        words.next().is_none().then_some(Self { value, age })
+    }
+}
+
+/// Parses a program's duration, a number of milliseconds.
+pub(super) fn milliseconds(text: &str) -> Option<Duration> {
+    let milliseconds: f64 = text.parse().ok().filter(|milliseconds: &f64| milliseconds.is_finite())?;
+    // A program that takes timestamps from another clock may report a slightly negative duration.
+    Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0).ok()
 }
 
 /// A running program. Dropping it ends the program.
@@ -373,8 +408,14 @@ mod tests {
     #[test]
     fn unrequested_reports_are_not_taken_as_answers() {
         let (ear, mailbox) = ear();
+        assert!(ear.hears("reading eye  4.5 30"));
+        let reading = mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)).unwrap();
+        assert!(reading.value == 4.5 && mailbox.now() - reading.taken.unwrap() >= Duration::from_millis(30));
         assert!(ear.hears("reading eye  4.5"));
-        assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(4.5));
+        assert_eq!(
+            mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)).unwrap().value,
+            4.5
+        );
         for word in ["started 1 5", "step 1 0 5", "done 1 5", "failed 1 5 torque", "cancelled 1 5"] {
             assert!(ear.hears(word), "{word}");
             assert_eq!(mailbox.words().len(), 1, "{word}");
@@ -395,6 +436,8 @@ mod tests {
             ("reading ear 4.5", "expected `reading SENSOR NUMBER` with a sensor of this robot"),
             ("reading eye", "expected `reading SENSOR NUMBER`"),
             ("reading eye high", "expected `reading SENSOR NUMBER`"),
+            ("reading eye 4.5 late", "or `reading SENSOR NUMBER MILLISECONDS`"),
+            ("reading eye 4.5 3 2", "or `reading SENSOR NUMBER MILLISECONDS`"),
             ("done x 5", "expected `started PLAN NS`"),
         ] {
             assert!(ear.hears(line), "{line}");
@@ -415,7 +458,10 @@ mod tests {
         running.may_tell();
         running.input.as_mut().unwrap().write_all(b"reading eye 2\n").unwrap();
         assert_eq!(running.ask("ping", wait).as_deref(), Ok("ping"), "an earlier line is not an answer");
-        assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(2.0));
+        assert_eq!(
+            mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)).unwrap().value,
+            2.0
+        );
     }
 
     #[test]

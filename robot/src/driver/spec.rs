@@ -1,6 +1,6 @@
 //! The choice of a driver.
 
-use urrcp::InitializationBlock;
+use urrcp::{InitializationBlock, RobotId};
 
 #[cfg(feature = "thrift")]
 use super::ThriftRobot;
@@ -22,6 +22,8 @@ pub enum DriverSpec {
         host: String,
         /// TCP port of the robot.
         port: u16,
+        /// The id that the hardware reports, if it differs from the robot's: several robots may come with the same.
+        id: Option<RobotId>,
     },
     /// `sacn:...` or `artnet:...`: a DMX fixture.
     #[cfg(feature = "dmx")]
@@ -57,7 +59,9 @@ impl DriverSpec {
         Ok(match self {
             Self::Simulated => Box::new(SimulatedDriver::new(block)),
             #[cfg(feature = "thrift")]
-            Self::Thrift { host, port } => Box::new(ThriftRobot::new(host, *port, block)?),
+            Self::Thrift { host, port, id } => {
+                Box::new(ThriftRobot::new(host, *port, block)?.identified_as(id.clone()))
+            }
             #[cfg(not(feature = "thrift"))]
             Self::Thrift { .. } => {
                 return Err(DriverError::Refused("this program was built without Thrift support".to_owned()));

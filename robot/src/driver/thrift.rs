@@ -15,7 +15,7 @@ use thrift::transport::{
     ReadHalf, TBufferedReadTransport, TBufferedWriteTransport, TIoChannel, TTcpChannel, WriteHalf,
 };
 use thrift::{ApplicationErrorKind, TConfiguration, TransportErrorKind};
-use urrcp::{DeviceId, InitializationBlock, Setpoint};
+use urrcp::{DeviceId, InitializationBlock, RobotId, Setpoint};
 
 use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
@@ -30,6 +30,8 @@ pub struct ThriftRobot {
     host: String,
     port: u16,
     block: InitializationBlock,
+    /// The id that the hardware has to report.
+    expected: RobotId,
     connection: Option<Connection>,
     /// Time limit for connecting to the robot, for sending it a call, and for its answer. `None`: no limit.
     wait_max: Option<Duration>,
@@ -56,9 +58,17 @@ impl ThriftRobot {
             host: host.to_owned(),
             port,
             block: block.clone(),
+            expected: block.id.clone(),
             connection: None,
             wait_max: Some(WAIT_MAX),
         })
+    }
+
+    /// Sets the id that the hardware has to report. `None`: the robot's own.
+    #[must_use]
+    pub fn identified_as(mut self, id: Option<RobotId>) -> Self {
+        self.expected = id.unwrap_or_else(|| self.block.id.clone());
+        self
     }
 
     fn call<T>(&mut self, call: impl FnOnce(&mut Connection) -> thrift::Result<T>) -> Result<T, DriverError> {
@@ -99,7 +109,7 @@ impl Driver for ThriftRobot {
         self.ping()?;
         // The robot may be another one than before, or differ from its init file.
         let schema = self.call(Connection::schema)?;
-        described::fits(&schema, &self.block).map_err(|why| {
+        described::fits(&schema, &self.block, &self.expected).map_err(|why| {
             DriverError::Away(format!(
                 "the robot at {}:{} is not the expected one: {why}",
                 self.host, self.port

@@ -9,7 +9,7 @@ use urrcp::{ControlType, DeviceId, InitializationBlock, Setpoint, Span};
 
 use super::grid::on_grid;
 use super::lifeline::Watcher;
-use super::mailbox::{Drive, DriverTraits, Movement, Sign, Value, Work};
+use super::mailbox::{Drive, DriverTraits, Movement, Sampled, Sign, Value, Work};
 use super::planned::{Given, PlanNews};
 use super::rates::HARDWARE_SILENCE_MAX;
 use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanReport, Pushes, Ramp, Rates};
@@ -51,7 +51,7 @@ pub(crate) enum News {
     /// The hardware has taken all orders that were given before these tickets (questions of the state machine).
     Confirmed(Vec<Ticket>),
     /// A sensor was read. `reading` is the sensor's reading, or the reason for its absence.
-    Reading { id: ReadingId, reading: Result<f64, String> },
+    Reading { id: ReadingId, reading: Result<Sampled, String> },
 }
 
 /// Reason why no further calls are made until the hardware is connected again.
@@ -87,6 +87,13 @@ impl Lost {
     }
 }
 
+/// The last reading of a sensor with a maximum number of readings per second.
+#[derive(Clone, Copy, Debug)]
+struct KeptReading {
+    reading: Sampled,
+    begun: Instant,
+}
+
 /// A driver and the state of its thread.
 pub(crate) struct Worker {
     driver: Box<dyn Driver>,
@@ -107,7 +114,7 @@ pub(crate) struct Worker {
     beats: BTreeMap<Duration, Instant>,
     pub(super) given: Given,
     /// Last reading and its time, for sensors with a maximum number of readings per second.
-    readings: BTreeMap<DeviceId, (f64, Instant)>,
+    readings: BTreeMap<DeviceId, KeptReading>,
 }
 
 /// When the driver last received a movement: never, before the last reconnection, or since then.
@@ -445,9 +452,9 @@ impl Worker {
             return Ok(());
         }
         let kept = self.rates.reading_period(&self.options, sensor);
-        let fresh = |(_, at): &&(f64, Instant)| kept.is_some_and(|kept| at.elapsed() < kept);
-        if let Some((reading, _)) = self.readings.get(sensor).filter(fresh) {
-            (self.tell)(News::Reading { id, reading: Ok(*reading) });
+        let fresh = |last: &&KeptReading| kept.is_some_and(|kept| last.begun.elapsed() < kept);
+        if let Some(last) = self.readings.get(sensor).filter(fresh) {
+            (self.tell)(News::Reading { id, reading: Ok(last.reading) });
             return Ok(());
         }
         let begin = Instant::now();
@@ -460,9 +467,11 @@ impl Worker {
                 return Err(Lost::Away(reason));
             }
             Err(DriverError::Refused(reason)) => Err(reason),
-            Ok(reading) => {
+            Ok(value) => {
+                let age = self.driver.age_of_reading();
+                let reading = Sampled { value, taken: age.and_then(|age| Instant::now().checked_sub(age)) };
                 if kept.is_some() {
-                    self.readings.insert(sensor.clone(), (reading, begin));
+                    self.readings.insert(sensor.clone(), KeptReading { reading, begun: begin });
                 }
                 Ok(reading)
             }

@@ -109,9 +109,9 @@ impl Body {
     }
 
     /// Handles a report from a driver's thread.
-    pub(super) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
+    pub(super) fn hear(&mut self, clock: &HostClock, news: News) {
         if let Self::Edge(edge) = self {
-            edge.hear(now, news);
+            edge.hear(clock, news);
         }
     }
 

@@ -216,7 +216,7 @@ impl Executor {
                 let _gone = permit.send(());
             }
             Order::Hardware { robot, news } => {
-                self.robots[robot].hear(self.clock.now(), news);
+                self.robots[robot].hear(&self.clock, news);
                 self.advance(robot);
             }
             Order::Beat { answer } => drop(answer.send(())),

@@ -14,7 +14,9 @@ use super::control::Owner;
 use super::{Now, Output, Robot, tell};
 use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::device::{DeviceMachine, Effect, Rest};
-use crate::hardware::{Asker, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
+use crate::hardware::{
+    Asker, Hardware, OpenReading, ReadingId, START_NEAR, SensorReading, Standing, unanswered,
+};
 use crate::ids::LinkId;
 #[cfg(feature = "host")]
 use crate::signal::Signal;
@@ -218,22 +220,24 @@ impl Robot {
         &mut self,
         now: Now,
         id: ReadingId,
-        reading: Result<f64, String>,
+        reading: Result<SensorReading, String>,
         out: &mut Vec<Output>,
     ) {
         let Some(OpenReading { link, request, .. }) = self.hardware.close(id) else { return };
-        let reading = reading.and_then(|value| {
-            if value.is_finite() {
-                Ok(value)
+        let reading = reading.and_then(|reading| {
+            if reading.value.is_finite() {
+                Ok(reading)
             } else {
+                let value = reading.value;
                 Err(format!("the hardware returned the reading {value}, expected a finite number"))
             }
         });
         match reading {
-            Ok(value) => {
+            Ok(SensorReading { value, taken }) => {
                 let answer = ControlResponse {
                     status_value: StatusValue::Number(value),
                     request_id: request.request_id.clone(),
+                    event_timestamp: taken,
                     ..ControlResponse::new(now, request.device_id, Status::Provide)
                 };
                 tell(link, answer, out);

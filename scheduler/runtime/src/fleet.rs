@@ -286,7 +286,9 @@ pub fn driver_of(address: &Address) -> Option<DriverSpec> {
     match address {
         Address::Tcp { .. } | Address::Zenoh { .. } => None,
         Address::Simulated => Some(DriverSpec::Simulated),
-        Address::Thrift { host, port } => Some(DriverSpec::Thrift { host: host.clone(), port: *port }),
+        Address::Thrift { host, port, id } => {
+            Some(DriverSpec::Thrift { host: host.clone(), port: *port, id: id.clone() })
+        }
         Address::Dmx(address) => Some(DriverSpec::Dmx(fixture(address))),
         Address::Osc(OscAddress { host, port, path }) => {
             Some(DriverSpec::Osc(driver::OscAddress::new(host.clone(), *port, path.clone())))

@@ -208,8 +208,11 @@ impl Mover<'_> {
         let until = start + self.lasts + self.watched;
         let mut samples = Vec::new();
         while self.talk.now() < until {
-            let reading = self.talk.read_again(&self.planned.how.sensor).await?.since(start);
-            let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
+            let reading = self.talk.read_again(&self.planned.how.sensor).await?;
+            let (at, uncertainty) = match reading.taken {
+                Some(taken) => (taken.at - start, taken.uncertainty),
+                None => reading.since(start).instant(self.rest.link, self.planned.how.taken),
+            };
             samples.push(Sample {
                 at: at - self.planned.how.sensor_delay,
                 uncertainty,

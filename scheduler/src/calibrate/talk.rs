@@ -7,8 +7,8 @@ use downbeat_scripts::{ClockMode, FleetRobot};
 use tokio::sync::mpsc;
 use urrcp::{
     AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
-    InitializationBlock, InitializationRequest, Message, Millis, RequestId, Script, Server, Span, Status,
-    StatusValue, StopCondition, Timestamp,
+    InitializationBlock, InitializationRequest, Message, Millis, RequestId, Robot, Script, Server, Span,
+    Status, StatusValue, StopCondition, Timestamp,
 };
 
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
@@ -78,6 +78,17 @@ pub struct TimedReading {
     pub answered: Timestamp<Server>,
     /// The value, in the unit of the sensor.
     pub value: f64,
+    /// When the value was taken. `None` if the robot does not state it.
+    pub taken: Option<Stamped>,
+}
+
+/// The time at which the value of a sensor was taken, as the robot states it.
+#[derive(Clone, Copy, Debug)]
+pub struct Stamped {
+    /// The time on the server's clock.
+    pub at: Timestamp<Server>,
+    /// Uncertainty of the robot's clock.
+    pub uncertainty: Span,
 }
 
 /// A dialogue with one robot.
@@ -271,10 +282,18 @@ impl RobotDialogue {
         let (sent, at, response) = self.ask(request).await?;
         match (response.status, response.status_value) {
             (Status::Provide, StatusValue::Number(value)) => {
-                Ok(TimedReading { asked: sent, answered: at, value })
+                let taken = response.event_timestamp.and_then(|taken| self.taken(taken, at));
+                Ok(TimedReading { asked: sent, answered: at, value, taken })
             }
             _ => Err(refusal(response.error.as_ref())),
         }
+    }
+
+    /// Converts the time at which a robot has taken a value. Returns `None` for a time after the arrival of the answer, which is impossible.
+    fn taken(&self, taken: Timestamp<Robot>, answered: Timestamp<Server>) -> Option<Stamped> {
+        let clock = self.estimate.reading()?;
+        let at = (taken - clock.offset).assume_clock();
+        (at <= answered + clock.uncertainty).then_some(Stamped { at, uncertainty: clock.uncertainty })
     }
 
     /// Requests a reading of a sensor, and repeats the request if the reading is missed, for example because the sensor is busy.

@@ -96,6 +96,15 @@ const FOREIGN: [&str; 30] = [
     "chdir",
 ];
 
+/// Returns the options of the drivers in Python.
+fn options_of_drivers() -> Vec<String> {
+    let folder = format!("{}/../robot/drivers/python/downbeat_driver", env!("CARGO_MANIFEST_DIR"));
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let texts: String = files.filter_map(|path| std::fs::read_to_string(path).ok()).collect();
+    let options = texts.split("add_argument(\"--").skip(1);
+    options.filter_map(|rest| Some(rest.split_once('"')?.0.to_owned())).collect()
+}
+
 /// A document that also calls package managers, systemd and containers.
 const INSTALL: &str = "docs/install.md";
 
@@ -104,6 +113,7 @@ fn every_documented_option_exists() {
     let mut known = std::collections::BTreeSet::new();
     options(&Cli::command(), &mut known);
     known.extend(FOREIGN.map(str::to_owned));
+    known.extend(options_of_drivers());
     let docs = std::fs::read_dir(format!("{}/../docs", env!("CARGO_MANIFEST_DIR"))).unwrap();
     let docs = docs.map(|entry| format!("docs/{}", entry.unwrap().file_name().display()));
     for name in docs.filter(|name| name.ends_with(".md") && name != INSTALL).chain(["README.md".to_owned()]) {

@@ -211,7 +211,7 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
             let endpoint = endpoint.and_then(|endpoint| endpoint.ok_or_else(|| "no key".to_owned()));
             endpoint.and_then(|endpoint| ask_block(endpoint, args.patience))
         }
-        Address::Thrift { host, port } => match describe_thrift(host, *port) {
+        Address::Thrift { host, port, .. } => match describe_thrift(host, *port) {
             Ok(text) => match init_of(&Source { name: args.address.to_string(), text }) {
                 Ok(block) => Ok(block),
                 Err(findings) => {

@@ -40,6 +40,7 @@ mod outlet;
 mod passphrase;
 mod plan;
 mod push;
+mod ready_drivers;
 mod realtime;
 mod report;
 mod request;
@@ -153,6 +154,8 @@ enum Command {
     Robot(robot::RobotArgs),
     /// Run a real robot behind a driver.
     Edge(edge::EdgeArgs),
+    /// List the drivers for hardware, with the address to write into the fleet file, and their requirements.
+    Drivers(ready_drivers::DriversArgs),
     /// Simulate all TCP robots of a fleet in one process.
     Sim(sim::SimArgs),
     /// Convert files of other tools into a scenario and its fleet.
@@ -279,6 +282,7 @@ pub fn main() -> ExitCode {
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),
+        Command::Drivers(args) => ready_drivers::drivers(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),
         Command::Export(args) => export::export(&args, format),

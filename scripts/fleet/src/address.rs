@@ -7,6 +7,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
 pub use driven::{DmxAddress, DmxProtocol, OscAddress};
+use urrcp::RobotId;
 
 /// The address of a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,12 +23,14 @@ pub enum Address {
         /// The protection of the connection.
         protection: Protection,
     },
-    /// `thrift://host:port`: a robot that speaks the early protocol, based on Thrift. This process drives it.
+    /// `thrift://host:port` or `thrift://host:port?id=NAME`: a robot that speaks the early protocol, based on Thrift. This process drives it.
     Thrift {
         /// Host name or IP address of the robot.
         host: String,
         /// TCP port of the robot.
         port: u16,
+        /// The id that the hardware reports. `None` if it is the robot's own.
+        id: Option<RobotId>,
     },
     /// `zenoh:KEY`: a robot at a key of a Zenoh network.
     Zenoh {
@@ -73,7 +76,8 @@ impl fmt::Display for Address {
         match self {
             Self::Simulated => f.write_str("sim"),
             Self::Tcp { host, port, protection } => write!(f, "{}://{host}:{port}", protection.scheme()),
-            Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
+            Self::Thrift { host, port, id: None } => write!(f, "thrift://{host}:{port}"),
+            Self::Thrift { host, port, id: Some(id) } => write!(f, "thrift://{host}:{port}?id={id}"),
             Self::Zenoh { key } => write!(f, "zenoh:{key}"),
             Self::Dmx(address) => address.fmt(f),
             Self::Osc(address) => address.fmt(f),
@@ -104,7 +108,7 @@ impl Address {
     /// place in the network.
     pub fn places(&self) -> Vec<Reached> {
         match self {
-            Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
+            Self::Tcp { host, port, .. } | Self::Thrift { host, port, .. } => {
                 hosts(host).into_iter().map(|host| Reached { host, port: *port }).collect()
             }
             Self::Zenoh { key } => vec![Reached { host: ReachedHost::Key(key.clone()), port: 0 }],
@@ -202,6 +206,12 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
         Some((scheme, rest)) => (Some(scheme), rest),
         None => (None, text),
     };
+    if scheme == Some("thrift") && rest.ends_with("?id=") {
+        return (
+            "has no id after `?id=`",
+            Some("write the id that the hardware reports, as in `?id=tank`".to_owned()),
+        );
+    }
     let place = rest.trim_end_matches('/');
     let port = place.rsplit_once(':').map(|(_, port)| port);
     let has_port = port.is_some_and(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
@@ -260,6 +270,10 @@ impl Address {
             "osc" => return OscAddress::parse(rest).map(Self::Osc),
             _ => {}
         }
+        let (rest, id) = match rest.split_once("?id=").filter(|_| scheme == "thrift") {
+            Some((rest, id)) => (rest, Some(RobotId::new(id).ok()?)),
+            None => (rest, None),
+        };
         let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
         let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
         let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
@@ -268,7 +282,7 @@ impl Address {
             "tcp" => Some(Self::Tcp { host, port, protection: Protection::Open }),
             "tls" => Some(Self::Tcp { host, port, protection: Protection::Tls }),
             "hmac" => Some(Self::Tcp { host, port, protection: Protection::Hmac }),
-            "thrift" => Some(Self::Thrift { host, port }),
+            "thrift" => Some(Self::Thrift { host, port, id }),
             _ => None,
         }
     }
@@ -282,12 +296,28 @@ fn of_another_bus(text: &str) -> Option<String> {
         .iter()
         .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
     (is_serial || is_other)
-        .then(|| "this kind of connection requires a driver: `program:COMMAND` (docs/edge.md)".to_owned())
+        .then(|| "this kind of connection requires a driver: `downbeat drivers` lists the existing ones, `program:COMMAND` runs your own".to_owned())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn two_robots_with_one_hardware_id_are_two_places() {
+        let [first, second] = ["thrift://a:9090?id=tank", "thrift://b:9090?id=tank"].map(|text| {
+            let address: Address = text.parse().unwrap();
+            assert_eq!(address.to_string(), text);
+            address
+        });
+        assert!(matches!(&first, Address::Thrift { id: Some(id), .. } if id.as_str() == "tank"));
+        assert_ne!(first.places(), second.places());
+        assert_eq!(first.places(), "thrift://a:9090".parse::<Address>().unwrap().places());
+        assert!(
+            "thrift://a:9090?id=".parse::<Address>().is_err()
+                && "tcp://a:9090?id=b".parse::<Address>().is_err()
+        );
+    }
 
     #[test]
     fn zenoh_key_is_an_address_of_one_place() {

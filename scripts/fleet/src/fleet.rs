@@ -99,7 +99,7 @@ keys! {
         devices: Kind::Entries(&DeviceKeys::KIND),
         /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND.
         #[required]
-        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac|thrift)://.+:\\d+|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|program:.*\\S.*)$"}),
+        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac)://.+:\\d+|thrift://.+:\\d+(\\?id=.+)?|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|program:.*\\S.*)$"}),
         /// The `id` that the robot itself declares, if that differs from its name here.
         robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
         simulate: SimulateKeys::KIND,

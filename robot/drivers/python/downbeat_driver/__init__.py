@@ -1,7 +1,8 @@
 """Drivers of hardware for `downbeat edge`: subclass `Driver`, and call `run`."""
 
 from .driver import Driver, Refused
+from .group import Frame, Group
 from .plan import Plan, PlanEnded, Step
-from .robot import Device, Robot, Value
+from .robot import Device, Reading, Robot, Value
 
-__all__ = ["Device", "Driver", "Plan", "PlanEnded", "Refused", "Robot", "Step", "Value"]
+__all__ = ["Device", "Driver", "Frame", "Group", "Plan", "PlanEnded", "Reading", "Refused", "Robot", "Step", "Value"]

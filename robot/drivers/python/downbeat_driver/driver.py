@@ -13,10 +13,11 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Optional, Union
 
+from .group import Group
 from .output import Lines, protected_stdout
 from .plan import Plan, Step
 from .playing import Plans
-from .robot import Robot, Value
+from .robot import Reading, Robot, Value
 
 
 SHOWN_MAX = 200
@@ -36,6 +37,9 @@ class Driver:
     lookahead: Union[str, float, Mapping[str, Union[str, float]], None] = None
     """How far ahead the driver receives scripts, to time them itself in `play`: `"script"` for the whole script as soon as it is
     accepted, or milliseconds; for all devices, or by device id. If it is `None`, the driver receives each value when it is due."""
+
+    gather_ms: float = 100.0
+    """How long before the start `play_group` is called, in milliseconds."""
 
     samples_per_second: Union[float, Mapping[str, float], None] = None
     """How often a device is set while it moves linearly or slows down: for all devices, or by device id."""
@@ -102,13 +106,22 @@ class Driver:
             plan.reached(step)
             before = step
 
+    def play_group(self, group: Group) -> None:
+        """Plays the plans that start at the same instant, on one thread, for hardware that takes one trajectory for all of its joints.
+
+        If a class with `lookahead = "script"` has this method, it is called instead of `play`, `gather_ms` before the start, with all plans
+        that have arrived. A plan that arrives later is a group of its own: merge it with the trajectory that the hardware follows. Returns
+        when the last step is done. If a plan is cancelled, `group.wait_until` raises `PlanEnded`: stop the hardware then.
+        """
+        raise NotImplementedError
+
     def where(self, device: str, control_type: str) -> Optional[float]:
         """Position of a device, as far as the driver knows it. The default `play` moves from there to the first step of a plan. If it is
         `None`, the first value is set at the time of its step."""
         return None
 
-    def read(self, sensor: str) -> float:
-        """Current value of a sensor, in its unit."""
+    def read(self, sensor: str) -> Union[float, Reading]:
+        """Current value of a sensor, in its unit; a `Reading` if its age is known."""
         raise Refused(f"no sensor `{sensor}` is connected")
 
     def ping(self) -> Optional[float]:
@@ -121,11 +134,12 @@ class Driver:
 
     # Methods that you call.
 
-    def push_reading(self, sensor: str, value: float) -> None:
-        """Reports a reading to the edge, which then need not request it. Can be called from any thread, after `start`."""
+    def push_reading(self, sensor: str, value: float, *, age: Optional[float] = None) -> None:
+        """Reports a reading to the edge, which then need not request it. `age` are the seconds since the hardware took the value, if they
+        are known. Can be called from any thread, after `start`."""
         if not math.isfinite(value):
             raise ValueError(f"the reading of {sensor} is {value}, expected a finite number")
-        self._push(f"reading {sensor} {float(value)!r}")
+        self._push(f"reading {sensor} {_reading(value if age is None else Reading(value, age))}")
 
     def fault(self, reason: str) -> None:
         """Reports to the edge that the hardware has failed: all commands end, and the program is restarted. Can be called from any
@@ -211,6 +225,8 @@ class Driver:
         if verb == "init":
             self.robot = Robot.of(json.loads(rest)["block"])
             self._check()
+            if type(self).play_group is not Driver.play_group:
+                self._plans.gather(lambda plans: self.play_group(Group(plans, self.where)), self.gather_ms / 1000)
             self.start(self.robot)
             self._has_started = True
             return "ok " + json.dumps(self._declared())
@@ -237,7 +253,7 @@ class Driver:
             device, control_type, value, milliseconds = rest.split()
             self.ramp(device, control_type, float(value), float(milliseconds) / 1000)
         elif verb == "read":
-            return repr(float(self.read(rest)))
+            return _reading(self.read(rest))
         elif verb == "ping":
             age = self.ping()
             return "ok" if age is None else f"ok {age * 1000:.3f}"
@@ -251,6 +267,8 @@ class Driver:
         known = inspect.signature(self.ramp).parameters
         if "seconds" not in known:
             raise TypeError(f"`ramp` takes {', '.join(known)}; expected device, control_type, value, seconds")
+        if type(self).play_group is not Driver.play_group and self.lookahead != "script":
+            raise TypeError(f"`play_group` needs whole scripts, but `lookahead` is {self.lookahead!r}; expected 'script'")
 
     def _declared(self) -> dict[str, object]:
         declared: dict[str, object] = {
@@ -284,3 +302,10 @@ class Driver:
         horizons = {device: of for device, of in ahead.items() if not isinstance(of, str)}
         both = {"lookahead": whole, "lookahead_ms": horizons}
         return {key: of_devices for key, of_devices in both.items() if of_devices}
+
+
+def _reading(of: Union[float, Reading]) -> str:
+    """A reading as the edge expects it: the value, and its age in milliseconds if it is known."""
+    if isinstance(of, Reading):
+        return f"{float(of.value)!r} {of.age * 1000:.3f}"
+    return repr(float(of))

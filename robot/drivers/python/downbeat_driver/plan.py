@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Optional
 
@@ -35,7 +35,14 @@ class Step:
 class Plan:
     """A script of one device. `Driver.play` receives it before it starts."""
 
-    def __init__(self, told: dict[str, Any], say: Callable[[str], None], silence: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        told: dict[str, Any],
+        say: Callable[[str], None],
+        silence: Callable[[], float],
+        changed: Optional[threading.Condition] = None,
+    ) -> None:
+        """Plans of a group have a condition in common."""
         self.id = int(told["plan"])
         self.device: str = told["device"]
         self.is_linear: bool = told["interpolation"] == "linear"
@@ -53,7 +60,9 @@ class Plan:
         self._silence_at_start = float(allowed.get("start", 400)) / 1000
         self._silence_running = float(allowed.get("running", 3000)) / 1000
         self._say, self._silence = say, silence
-        self._changed = threading.Condition()
+        self._changed = threading.Condition() if changed is None else changed
+        self.released = threading.Event()
+        """Set when the hardware no longer follows the plan."""
         self._steps: list[Step] = []
         self._is_whole = False
         self._ended: Optional[str] = None
@@ -117,9 +126,14 @@ class Plan:
 
     def wait_until(self, at: float) -> None:
         """Waits until an instant of `time.monotonic()`. Raises `PlanEnded` as soon as the plan is over."""
+        self.wait_with([self], at)
+
+    def wait_with(self, plans: Sequence[Plan], at: float) -> None:
+        """Waits like `wait_until` on behalf of all plans of a group."""
         with self._changed:
             while True:
-                self._raise_if_ended()
+                for plan in plans:
+                    plan._raise_if_ended()
                 left = at - time.monotonic()
                 if left <= 0:
                     return
@@ -148,6 +162,11 @@ class Plan:
                 self._steps.append(Step(int(step["step"]), self._clock.monotonic(at_ns), at_ns, value))
             self._is_whole = bool(told["last"])
             self._changed.notify_all()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all steps have been handed over."""
+        return self._is_whole
 
     def cancel(self, then: str, why: str) -> None:
         """Cancels the plan."""

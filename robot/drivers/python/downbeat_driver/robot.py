@@ -48,6 +48,15 @@ class Robot:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """A value of a sensor, with its age."""
+
+    value: float
+    age: float
+    """Seconds since the hardware took the value."""
+
+
+@dataclass(frozen=True)
 class Value:
     """A value that is to be set now."""
 

@@ -11,7 +11,7 @@ import unittest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent.parent))
 
-from downbeat_driver import Driver, Refused, Value  # noqa: E402
+from downbeat_driver import Driver, Reading, Refused, Value  # noqa: E402
 from downbeat_driver.output import Lines  # noqa: E402
 
 PACKAGE = str(pathlib.Path(__file__).parent.parent)
@@ -65,6 +65,14 @@ class Spoken(unittest.TestCase):
         self.assertEqual(hello, "ok 2")
         declared = {"frames": False, "ramps": False, "latency_ms": {"arm": 42}}
         self.assertEqual(json.loads(init[len("ok ") :]), declared)
+
+    def test_a_reading_may_have_an_age(self):
+        class Stamped(Recorder):
+            def read(self, sensor):
+                self.push_reading(sensor, 3, age=0.02)
+                return Reading(12.5, 0.0305)
+
+        self.assertEqual(said(Stamped(), INIT, "read eye")[1:], ["reading eye 3.0 20.000", "12.5 30.500"])
 
     def test_a_driver_knows_its_robot_with_units(self):
         driver = Recorder()

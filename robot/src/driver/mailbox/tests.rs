@@ -3,6 +3,10 @@
 use super::*;
 use crate::tolerance::STALE;
 
+fn sampled(value: f64) -> Sampled {
+    Sampled { value, taken: None }
+}
+
 #[test]
 fn value_is_stale_only_beyond_its_limit() {
     let due = Instant::now();
@@ -185,7 +189,7 @@ fn events_without_a_connection_do_not_reach_the_next_connection() {
     mailbox.told_of_plan(word(1));
     mailbox.failed_by_itself("hot".to_owned());
     mailbox.hung_up(1, "cut".to_owned());
-    mailbox.read_by_itself(&id("eye"), 1.0);
+    mailbox.read_by_itself(&id("eye"), sampled(1.0));
     mailbox.connected(1, MANNERS);
     assert_eq!(next(&mailbox), "nothing");
     assert_eq!(mailbox.pushed(&id("eye"), Duration::MAX), None);
@@ -305,9 +309,11 @@ fn wait_ends_immediately_if_already_tried_or_closed() {
 fn known_sensor_updates_its_pushed_reading_and_sensors_are_limited() {
     let mailbox = with([]);
     for sensor in 0..PUSHED_MAX + 1 {
-        mailbox.read_by_itself(&id(&format!("s{sensor}")), 1.0);
+        mailbox.read_by_itself(&id(&format!("s{sensor}")), sampled(1.0));
     }
-    mailbox.read_by_itself(&id("s0"), 2.0);
-    let told = |sensor: usize| mailbox.pushed(&id(&format!("s{sensor}")), Duration::MAX);
+    mailbox.read_by_itself(&id("s0"), sampled(2.0));
+    let told = |sensor: usize| {
+        mailbox.pushed(&id(&format!("s{sensor}")), Duration::MAX).map(|reading| reading.value)
+    };
     assert_eq!([told(0), told(PUSHED_MAX - 1), told(PUSHED_MAX)], [Some(2.0), Some(1.0), None]);
 }

@@ -54,7 +54,9 @@ fn in_words(news: &News) -> String {
     match news {
         News::There { connection, .. } => format!("there {connection}"),
         News::Away { reason } => reason.clone(),
-        News::Reading { reading, .. } => format!("reading {reading:?}"),
+        News::Reading { reading, .. } => {
+            format!("reading {:?}", reading.as_ref().map(|reading| reading.value))
+        }
         News::Confirmed(tickets) => format!("confirmed {}", tickets.len()),
         News::Plan(PlanNews::Refused { first, error, .. }) => format!("refused {first}: {}", error.message),
         News::Plan(PlanNews::Cancelled(plan)) => format!("cancelled {}", plan.0),

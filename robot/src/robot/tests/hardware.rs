@@ -1,7 +1,7 @@
 //! Tests robots whose hardware may be away, fail and return, and whose sensors are slow.
 
 use super::*;
-use crate::hardware::READINGS_MAX;
+use crate::hardware::{READINGS_MAX, SensorReading};
 
 fn driven() -> Bench {
     let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
@@ -204,12 +204,25 @@ fn reading_is_provided_when_it_arrives() {
     let reading = open_reading(&bench);
     bench.until(400);
     assert_eq!(bench.statuses(), Vec::<String>::new());
-    bench.robot.reading_came(bench.now, reading, Ok(21.5), &mut bench.out);
+    bench.robot.reading_came(bench.now, reading, Ok(21.5.into()), &mut bench.out);
     let [answer] = bench.responses()[..] else { panic!() };
     assert_eq!((&answer.status, &answer.status_value), (&Status::Provide, &StatusValue::Number(21.5)));
     assert_eq!(answer.request_id.as_ref().unwrap().as_str(), "a");
     bench.until(5_000);
     assert_eq!(bench.responses().len(), 1, "it is answered once");
+}
+
+#[test]
+fn reading_states_when_it_was_taken_if_the_hardware_does() {
+    let mut bench = ready();
+    for taken in [None, Some(at(380))] {
+        read(&mut bench, "a");
+        let reading = open_reading(&bench);
+        bench.until(400);
+        let came = SensorReading { value: 21.5, taken };
+        bench.robot.reading_came(bench.now, reading, Ok(came), &mut bench.out);
+        assert_eq!(bench.responses().last().unwrap().event_timestamp, taken);
+    }
 }
 
 #[test]
@@ -220,7 +233,7 @@ fn reading_that_does_not_arrive_fails_and_a_later_one_is_ignored() {
     assert_eq!(bench.robot.next_wakeup(), Some(at(1_000)));
     bench.until(1_000);
     assert_eq!(bench.statuses(), ["Failed internal"]);
-    bench.robot.reading_came(bench.now, reading, Ok(21.5), &mut bench.out);
+    bench.robot.reading_came(bench.now, reading, Ok(21.5.into()), &mut bench.out);
     assert_eq!(bench.responses().len(), 1);
     assert!(bench.robot.is_idle());
 }
@@ -239,7 +252,7 @@ fn sensor_declares_the_maximum_delay_of_its_readings() {
 fn refused_non_finite_or_interrupted_readings_fail_with_the_reason() {
     let mut bench = ready();
     for (reading, says) in
-        [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN), "expected a finite number")]
+        [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN.into()), "expected a finite number")]
     {
         read(&mut bench, says);
         let id = open_reading(&bench);
