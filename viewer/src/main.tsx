@@ -4,7 +4,8 @@ import { App } from "./App";
 import { isOfTrials, PayloadError, readPayload } from "./data/payload";
 import { Show } from "./data/show";
 import { Session } from "./state/session";
-import { runPlayback } from "./state/playback";
+import { applyAddress } from "./state/address";
+import { playAtFirst, runPlayback } from "./state/playback";
 import { visible } from "./text/visible";
 import { TrialsApp } from "./trials/TrialsApp";
 
@@ -27,6 +28,8 @@ async function start(): Promise<void> {
     }
     const session = new Session(new Show(payload));
     runPlayback(session);
+    const placed = applyAddress(session, location.hash);
+    if (!placed && session.mode.value === "show") playAtFirst(session);
     page.replaceChildren();
     render(<App session={session} />, page);
   } catch (error) {

@@ -32,6 +32,8 @@ export interface Mission {
   epoch: string;
   /** Time range for which data exists. */
   from: number; to: number;
+  /** The last instant of which the file contains anything. Later parts of the plan may not have been played yet. */
+  known_until: number;
   /** Why the file from which the page was made is incomplete, as text; `null` if it is complete. */
   cut_off: string | null;
   /** Output of `--format json` of the same command; `null` if it is not known. May have any shape: `data/report.ts` reads it. */
@@ -40,6 +42,8 @@ export interface Mission {
   sources: { name: string; text: string }[];
   robots: Robot[];
   groups: { name: string; robots: number[] }[];
+  /** Requirements of the fleet file on the space of all bodies. */
+  space: Space;
   /** Compiled acts; an act that is played twice has only one plan. */
   plans: Plan[];
   /** Acts in the order in which they were played. */
@@ -53,6 +57,8 @@ export interface Mission {
   read: DeviceSeries[];
   /** Clock of each robot that was queried: `offset` is robot minus server in ms, `uncertainty` is the error bound of the offset. */
   clocks: { robot: number; offset: Series; uncertainty: Series }[];
+  /** Late steps, as robots reported them while they played; empty unless the mission was recorded. */
+  late: Late[];
   /** The plan to which this one is compared, on the page of a diff. */
   compared?: Compared | null;
 }
@@ -88,8 +94,28 @@ export interface Robot {
   body: Body | null;
 }
 
+/** Metres. `distance`: the least distance between the surfaces of two bodies. */
+export interface Space {
+  distance: number | null;
+  keep_in: Volume | null;
+  keep_out: { name: string; volume: Volume }[];
+}
+
+/** A box along the axes; `null` on sides without a limit. */
+export interface Volume { least: Bounds; most: Bounds }
+export type Bounds = [number | null, number | null, number | null];
+
+/** Steps that were due from `from` to `to` and late by at most `most` ms, if the robot reports it. `act`: number of the act. */
+export interface Late {
+  robot: number; device: number; act: number;
+  from: number; to: number;
+  steps: number; most: number | null;
+}
+
 export interface Device {
   id: string;
+  /** Display name of the robot's description; may be empty. */
+  name: string;
   /** Unit of positions, as declared by the robot; may be empty. */
   unit: string;
   interpolation: "hold" | "linear";
@@ -106,6 +132,8 @@ export interface Body {
   shape: { ball: number } | { box: [number, number, number] };
   /** A chain of joints on the body; may be empty. */
   joints: Joint[];
+  /** Limits of the fleet file for the middle of the body, in m/s and m/s². */
+  speed: number | null; acceleration: number | null;
 }
 
 /** `offset + scale * value of the device`, or just `offset` if `device` is `null`. `device` is an index into `Robot.devices`. */
@@ -133,6 +161,10 @@ export interface Plan {
   cues: Cue[];
   lanes: Lane[];
   closest: { robots: [number, number]; at: number; distance: number } | null;
+  /** Largest speed in m/s and acceleration in m/s² of each body's middle. */
+  bodies: { robot: number; speed: number; acceleration: number }[];
+  /** Steps of each device, and the largest number that it can hold. */
+  budgets: { robot: number; device: number; steps: number; budget: number }[];
   /** The condition for which the act waits, as text; empty if it does not wait. */
   waits: string;
 }
@@ -144,6 +176,8 @@ export interface Cue {
   slack: number;
   /** Whether the cue is on the critical path, which determines the end of the act. */
   critical: boolean;
+  /** The choreographer's remark. */
+  note: string | null;
   robots: number[];
   /** Index into `Mission.sources`, and lines counted from 1. */
   source: number; first_line: number; last_line: number;
@@ -211,6 +245,10 @@ export interface DeviceSeries { robot: number; device: number; act: number | nul
 
 /** The parts of a report that the page shows, as read by `data/report.ts`. The document contains the rest, too. */
 export interface Report {
+  /** Why everything was stopped, as text, if nothing else says so. */
+  because: string;
+  /** Requirements of the scenario, judged by a dry run. */
+  requirements: ReportedRequirement[];
   /** `null` if the outcome is not known. */
   outcome: string | Record<string, unknown> | null;
   spread_ms: number | null;
@@ -227,13 +265,31 @@ export interface ActCourse { act: string; fate: string; played: number; awaited:
 
 export interface ReportedAct {
   act: string; number: number | null; spread_ms: number | null;
-  robots: { robot: string; left_out: boolean; devices: { device: string; planned_start: string | null; start_error_ms: number | null }[] }[];
+  /** How far apart the robots could start, as known before the decision, and the tolerance. */
+  skew: { predicted_ms: number | null; tolerance_ms: number | null } | null;
+  robots: { robot: string; left_out: boolean; devices: ReportedDevice[] }[];
+}
+
+/** `found`: the figure that is compared with the bound; `null` if it is unknown. */
+export interface ReportedRequirement {
+  requirement: string; bound: string;
+  value: number | null; unit: string; found: number | null;
+  result: string;
+}
+
+export interface ReportedDevice {
+  device: string; state: string;
+  planned_start: string | null; start_error_ms: number | null;
+  steps_done: number | null; steps_planned: number | null;
+  late_steps: number | null; late_ms_max: number | null;
 }
 
 export interface ReportedRobot {
   robot: string; standing: string;
   start_error_ms: number | null;
-  steps_done: number | null; steps_planned: number | null; late_steps: number | null;
+  steps_done: number | null; steps_planned: number | null; late_steps: number | null; late_ms_max: number | null;
+  /** `lease_ends`: RFC 3339; `null` if a script continues without a lease. */
+  stop: { state: string; lease_ends: string | null } | null;
   clock: { offset_ms: number | null; uncertainty_ms: number | null } | null;
 }
 

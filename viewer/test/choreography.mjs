@@ -5,6 +5,7 @@ import { readSwap } from "./swap.mjs";
 const TEMPO_MS = 4250;
 const device = (id, unit, more = {}) => ({
   id,
+  name: "",
   unit,
   interpolation: "linear",
   granularity: 0.001,
@@ -21,7 +22,7 @@ const DRONE_DEVICES = [device("x", "m"), device("y", "m"), device("z", "m"), dev
 const drone = (id) => ({
   id,
   devices: DRONE_DEVICES,
-  body: { x: by(0), y: by(1), z: by(2), yaw: by(3), shape: { ball: 0.07 }, joints: [] },
+  body: { x: by(0), y: by(1), z: by(2), yaw: by(3), shape: { ball: 0.07 }, joints: [], speed: 2, acceleration: null },
 });
 
 const joint = (name, xyz, axis, value, radius) => ({
@@ -45,6 +46,8 @@ const arm = {
     z: fixed(0),
     yaw: fixed(0),
     shape: { ball: 0.12 },
+    speed: null,
+    acceleration: null,
     joints: [
       joint("base", [0, 0, 0.3], [0, 0, 1], by(0, RADIANS), 0.06),
       joint("shoulder", [0, 0, 0.2], [0, 1, 0], by(1, RADIANS), 0.05),
@@ -56,7 +59,7 @@ const arm = {
 const rover = {
   id: "rover-1",
   devices: [device("wheel", "m", { interpolation: "hold", granularity: 0.01 }), device("range", "m", { sensor: true })],
-  body: { x: by(0, 1, -2.2), y: fixed(-1), z: fixed(0.1), yaw: fixed(0.5), shape: { box: [0.5, 0.3, 0.2] }, joints: [] },
+  body: { x: by(0, 1, -2.2), y: fixed(-1), z: fixed(0.1), yaw: fixed(0.5), shape: { box: [0.5, 0.3, 0.2] }, joints: [], speed: null, acceleration: null },
 };
 
 const SOURCE_TAIL =
@@ -76,11 +79,13 @@ export async function choreography() {
     cut_off: null,
     from: -389,
     to: 2 * TEMPO_MS + 4000,
+    known_until: 2 * TEMPO_MS + 4000,
     robots,
     groups: [
       { name: "drones", robots: [0, 1, 2, 3, 4, 5] },
       { name: "ground", robots: [6, 7] },
     ],
+    space: { distance: 0.15, keep_in: { least: [-6, -4, 0], most: [6, 4, null] }, keep_out: [] },
     sources: [{ name: "swap.yaml", text: swap.text + SOURCE_TAIL }],
     plans: [swapPlan(swap, columns), finalePlan(columns, lines)],
     acts: [act("swap", 0, 0, 0, TEMPO_MS), act("finale", 1, 1, TEMPO_MS + 1000, TEMPO_MS + 6750)],
@@ -100,6 +105,7 @@ export async function choreography() {
     set: [],
     read: [],
     clocks: [],
+    late: [],
     report: report(robots),
   };
   observe(mission, swap, columns);
@@ -116,6 +122,8 @@ function swapPlan(swap, columns) {
     duration: TEMPO_MS,
     start_tolerance: 5,
     waits: "",
+    bodies: [],
+    budgets: [{ robot: 0, device: 0, steps: 18, budget: 100 }],
     closest: { robots: [1, 3], at: 1812.5, distance: 0.0871 },
     cues: swap.cues.map((cue, i) => ({
       name: cue.name,
@@ -123,6 +131,7 @@ function swapPlan(swap, columns) {
       end: TEMPO_MS,
       slack: 0,
       critical: true,
+      note: null,
       robots: [i],
       source: 0,
       first_line: cue.first_line,
@@ -144,6 +153,7 @@ function finalePlan(columns, lines) {
     end,
     slack,
     critical: slack === 0,
+    note: null,
     robots,
     source: 0,
     first_line: lines + at,
@@ -155,6 +165,8 @@ function finalePlan(columns, lines) {
     duration: 5750,
     start_tolerance: 5,
     waits: "go from the operator",
+    bodies: [],
+    budgets: [],
     closest: { robots: [6, 7], at: 2000, distance: 1.305 },
     cues: [
       cue("look around", 250, 4250, 0, [6], 0, [{ text: "at: 250ms", cue: null }]),

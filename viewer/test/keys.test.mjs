@@ -227,7 +227,7 @@ test("C goes to the closest approach, and the stage tells the distance there", a
   await press("c");
   assert.equal(await playhead(), 1813);
   assert.match(await text("#closest-of-act"), /cf2 – cf4 0\.087 m at 0:01\.813/);
-  assert.equal(await page.locator("#closest-now").textContent(), "closest now: cf1 – cf6 0.204 m");
+  assert.equal(await page.locator("#closest-now").textContent(), "closest now: cf1 – cf6 0.204 m, at least 0.15 m allowed");
 });
 
 test("the question mark shows every key, and Escape closes the help", async () => {
@@ -237,11 +237,15 @@ test("the question mark shows every key, and Escape closes the help", async () =
   await page.waitForFunction(() => document.querySelector("dialog[open]") === null);
 });
 
-test("T changes the theme and V the stage", async () => {
+test("T changes the theme, V the view of the stage, and S, G and E what the page is for", async () => {
   await press("t");
   assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "dark");
   await press("v");
-  assert.equal(await page.getByRole("button", { name: "3D view (V)" }).getAttribute("aria-pressed"), "true");
+  assert.equal(await page.getByRole("button", { name: "View: top" }).getAttribute("aria-pressed"), "true");
+  for (const [key, visible, hidden] of [["s", ".strip", ".curves"], ["g", ".margins", ".strip"], ["e", ".curves", ".margins"]]) {
+    await press(key);
+    assert.deepEqual([await page.locator(visible).count(), await page.locator(hidden).count()], [1, 0], key);
+  }
 });
 
 test("the focused lane is told to screen readers when the playhead rests", async () => {

@@ -43,7 +43,7 @@ function showOf({ lanes, set = () => [], acts = [{}], ghosts = null, ...more }) 
 
 const lane = (value, series, start = 0) => ({ robot: 0, device: 0, value, control: value === 0 ? "position" : `position, value ${value + 1}`, worst_error: 0, worst_at: 0, scripts: [{ start, steps: series }] });
 const ramp = (columns) => [lane(0, columns.series([0, 1000, 2000, 3000], [0, 1, 2, 3]))];
-const found = (show) => deviations(show, show.tracks).map(({ kind, at, by }) => [kind, at, Number(by.toFixed(6))]);
+const found = (show) => deviations(show, show.tracks).listed.map(({ kind, at, by }) => [kind, at, Number(by.toFixed(6))]);
 
 test("each value of a lamp has its own lane, and what was set belongs to the first", () => {
   const show = showOf({
@@ -154,17 +154,19 @@ test("instants are read to the nanosecond", () => {
 
 test("a report of any shape is read as far as it fits", () => {
   for (const json of [null, undefined, "report", 7, []]) assert.equal(readReport(json), null);
-  const nothing = { outcome: null, spread_ms: null, course: [], acts: [], robots: [], failures: [] };
+  const nothing = { because: "", requirements: [], outcome: null, spread_ms: null, course: [], acts: [], robots: [], failures: [] };
   assert.deepEqual(readReport({}), nothing);
   assert.deepEqual(readReport({ outcome: 7, spread_ms: "1", course: 1, acts: ["a", null, 7], robots: [{}, 3], failures: "f" }), nothing);
   const { acts } = readReport({ acts: [{ act: 7, robots: ["r", { devices: [null, { start_error_ms: "x" }] }] }] });
-  assert.deepEqual(acts[0].robots[0].devices, [{ device: "", planned_start: null, start_error_ms: null }]);
+  const steps = { steps_done: null, steps_planned: null, late_steps: null, late_ms_max: null };
+  assert.deepEqual(acts[0].robots[0].devices, [{ device: "", state: "", planned_start: null, start_error_ms: null, ...steps }]);
   assert.deepEqual(readReport({ outcome: { failed: { robot: "r" } } }).outcome, { failed: { robot: "r" } });
 });
 
 test("fates are told in words", () => {
   assert.equal(fateText({ fate: "stopped", over: 1500 }), "stopped at 0:01.500");
   assert.equal(fateText({ fate: "open", over: null }), "outcome unknown");
+  assert.equal(fateText({ fate: "open", over: 13_500 }), "not known from 0:13.500");
   const course = (fate, played, more = {}) => courseText({ act: "a", fate, played, awaited: "", within_ms: null, ...more });
   assert.equal(course("nobody_left", 1), "played once, then skipped: no robot was left to play it");
   assert.equal(course("timed_out", 0, { awaited: "the operator's go", within_ms: 2000 }), "skipped: the operator's go did not occur within 2 s");

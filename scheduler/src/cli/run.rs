@@ -596,7 +596,11 @@ impl Work<'_> {
         let tell = |at, progress: &_| live.tell(at, progress);
         let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
         drop(live);
-        if let Some(recorder) = keep.recording.take() {
+        if let Some(mut recorder) = keep.recording.take() {
+            if let Ok(report) = serde_json::to_value(&report) {
+                let ended = clock.now();
+                recorder.note(move |recording| recording.report(ended, &report));
+            }
             report.recording = Some(recorder.finish().await);
         }
         report.wake_up = wake_up.map(|wake_up| {

@@ -9,12 +9,14 @@ const NAMES = {
   faint: "--faint",
   text: "--text",
   dim: "--dim",
+  control: "--control",
   accent: "--accent",
   planned: "--planned",
   band: "--band",
   set: "--set",
   read: "--read",
   cue: "--cue",
+  cueTone: "--cue-tone",
   cueText: "--cue-text",
   critical: "--critical",
   slack: "--slack",
@@ -27,15 +29,17 @@ const NAMES = {
 
 export type Palette = Record<keyof typeof NAMES, string>;
 
-const known = new Map<Theme, Palette>();
+const known = new Map<string, Palette>();
 
-export function palette(theme: Theme): Palette {
-  let found = known.get(theme);
+/** The colours at an element: the stage is dark in both themes. */
+export function palette(theme: Theme, element: Element): Palette {
+  const own = element.closest(".stage") === null ? theme : "stage";
+  let found = known.get(own);
   if (found === undefined) {
-    const style = getComputedStyle(document.documentElement);
+    const style = getComputedStyle(element);
     const colours = Object.entries(NAMES).map(([name, variable]) => [name, style.getPropertyValue(variable).trim()]);
     found = Object.fromEntries(colours) as Palette;
-    known.set(theme, found);
+    known.set(own, found);
   }
   return found;
 }

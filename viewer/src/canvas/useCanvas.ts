@@ -17,7 +17,16 @@ export interface DrawnCanvas {
   invalidate: () => void;
 }
 
-export function useCanvas(cells: readonly Pick<Cell<unknown>, "subscribe">[], draw: (sheet: Sheet) => void): DrawnCanvas {
+interface CanvasOptions {
+  /** Whether the canvas is transparent, because another one below it shows the picture. It is opaque by default. */
+  clear?: () => boolean;
+}
+
+export function useCanvas(
+  cells: readonly Pick<Cell<unknown>, "subscribe">[],
+  draw: (sheet: Sheet) => void,
+  { clear }: CanvasOptions = {},
+): DrawnCanvas {
   const { theme } = useSession();
   const canvas = useRef<HTMLCanvasElement>(null);
   const latest = useRef(draw);
@@ -25,13 +34,14 @@ export function useCanvas(cells: readonly Pick<Cell<unknown>, "subscribe">[], dr
   const invalidate = useRef(() => {});
   useEffect(() => {
     const element = canvas.current;
-    const context = element?.getContext("2d", { alpha: false }) ?? null;
+    const context = element?.getContext("2d", { alpha: clear !== undefined }) ?? null;
     if (element === null || context === null) return;
     const paint = () => {
-      const colours = palette(theme.value);
+      const colours = palette(theme.value, element);
       const { width, height } = fitToBox(element, context);
       context.fillStyle = colours.ground;
-      context.fillRect(0, 0, width, height);
+      if (clear?.() === true) context.clearRect(0, 0, width, height);
+      else context.fillRect(0, 0, width, height);
       latest.current({ context, width, height, palette: colours });
     };
     invalidate.current = () => redraw(paint);

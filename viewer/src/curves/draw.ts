@@ -4,7 +4,8 @@ import { fitText } from "../canvas/text";
 import type { Sheet } from "../canvas/useCanvas";
 import type { Session } from "../state/session";
 import { rounded, withUnit } from "../text/digits";
-import { clock, niceStep, niceTime } from "../text/time";
+import { niceStep, niceTime } from "../text/time";
+import { axisLabel } from "../timeline/head";
 import { scaleOf, ticks } from "../timeline/scale";
 import { drawGhosts } from "./ghosts";
 import { drawObserved } from "./observed";
@@ -100,8 +101,9 @@ function drawTimes({ context, palette }: Sheet, scale: ReturnType<typeof scaleOf
   context.font = MONO;
   context.textBaseline = "middle";
   context.fillStyle = palette.dim;
-  for (const time of ticks(scale, niceTime(scale.perPixel, 90))) {
+  const step = niceTime(scale.perPixel, 90);
+  for (const time of ticks(scale, step)) {
     context.fillRect(Math.round(scale.x(time)), height - MARGIN.bottom, 1, 4);
-    context.fillText(clock(time), scale.x(time) + 3, height - MARGIN.bottom + 11);
+    if (scale.x(time) + 40 < scale.width) context.fillText(axisLabel(time, step), scale.x(time) + 3, height - MARGIN.bottom + 11);
   }
 }

@@ -24,22 +24,35 @@ export function comparesAll({ mission }: Show): boolean {
   return mission.set.reduce((sum, { series }) => sum + series.v.n, 0) <= MOST_VALUES;
 }
 
+/** Deviations that are smaller than the uncertainty of the robot's clock may be no deviations at all. */
+function isKnown(show: Show, { kind, track, at, by }: Deviation): boolean {
+  return kind === "value" || Math.abs(by) > show.clockUncertainty(track.robotIndex, at);
+}
+
+/** How many deviations are not listed, because they are smaller than the uncertainty of the clocks. */
+export interface Found {
+  listed: Deviation[];
+  uncertain: number;
+}
+
 /**
  * Starts first, then times, then values, each sorted by size with the largest first. Values of different units are compared relative to
  * the lane's extent.
  */
-export function deviations(show: Show, tracks: readonly Track[]): Deviation[] {
-  const times = new Largest(inMs);
-  const values = new Largest(inExtents);
+export function deviations(show: Show, tracks: readonly Track[]): Found {
+  const counts = (deviation: Deviation) => isKnown(show, deviation);
+  const times = new Largest(inMs, counts);
+  const values = new Largest(inExtents, counts);
   for (const track of tracks) {
     const planned = stepsOfActs(track);
     for (const { wave, source } of show.observed("set", track)) {
       for (const part of partsOf(wave, planned, source.act)) compare(track, wave, part, times, values);
     }
   }
-  const starts = new Largest(inMs);
+  const starts = new Largest(inMs, counts);
   for (const error of startErrors(show)) starts.push(error);
-  return [...starts.sorted(), ...times.sorted(), ...values.sorted()];
+  const kinds = [starts, times, values];
+  return { listed: kinds.flatMap((kind) => kind.sorted()), uncertain: kinds.reduce((sum, kind) => sum + kind.uncertain, 0) };
 }
 
 const inMs = ({ by }: Deviation) => Math.abs(by);
@@ -48,10 +61,18 @@ const inExtents = ({ by, track }: Deviation) => Math.abs(by) / (track.extent.hig
 /** Keeps the largest deviations, without a list of all. */
 class Largest {
   private list: Deviation[] = [];
+  uncertain = 0;
 
-  constructor(private readonly size: (deviation: Deviation) => number) {}
+  constructor(
+    private readonly size: (deviation: Deviation) => number,
+    private readonly counts: (deviation: Deviation) => boolean,
+  ) {}
 
   push(deviation: Deviation): void {
+    if (!this.counts(deviation)) {
+      this.uncertain++;
+      return;
+    }
     this.list.push(deviation);
     if (this.list.length >= 4 * KEPT) this.list = this.sorted();
   }

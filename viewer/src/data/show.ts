@@ -1,6 +1,6 @@
 // An index of the document for panels and canvases, so that they need not search all acts.
 import type { Cue, DeviceSeries, Ghost, Mission, Plan, Played, Report, Robot } from "../mission";
-import { playedUntil } from "./fate";
+import { knownActs, playedUntil } from "./fate";
 import type { Payload } from "./payload";
 import { readReport } from "./report";
 import { Track, type Segment } from "./track";
@@ -47,16 +47,22 @@ export class Show {
   private readonly ghostsOfCues = new Map<number, { start: number; end: number }>();
   private readonly waves: Waves;
   private readonly clockOf: ReadonlyMap<number, Mission["clocks"][number]>;
+  private readonly reportedUncertainty: ReadonlyMap<string, number>;
 
   constructor({ mission, columns }: Payload) {
-    this.mission = { ...mission, report: readReport(mission.report) };
+    this.mission = { ...mission, acts: knownActs(mission), report: readReport(mission.report) };
     this.waves = new Waves(columns);
     this.clockOf = new Map(mission.clocks.map((clock) => [clock.robot, clock]));
+    this.reportedUncertainty = new Map(
+      (this.mission.report?.robots ?? []).flatMap(({ robot, clock }) =>
+        clock === null || clock.uncertainty_ms === null ? [] : [[robot, clock.uncertainty_ms]],
+      ),
+    );
     this.tracksOf = mission.robots.map(() => []);
     this.trackOfDevice = mission.robots.map(() => []);
-    this.leftOutOf = mission.acts.map(leftOut);
+    this.leftOutOf = this.mission.acts.map(leftOut);
     this.makeTracks();
-    this.cues = placeCues(mission);
+    this.cues = placeCues(this.mission);
     this.mission.compared?.ghosts.forEach((ghost) => this.placeGhost(ghost));
     this.cuesOfFinding = mission.findings.map((finding) =>
       finding.source === null ? [] : this.cuesAt(finding.source, finding.line),
@@ -101,13 +107,23 @@ export class Show {
     return this.ghostsOfCues.get(placed.index) ?? null;
   }
 
-  /** Uncertainty of the robot's times, in ms; 0 if its clock was not queried. */
+  /**
+   * Uncertainty of the robot's times, in ms; 0 if its clock was not queried. The mission combines all exchanges, so its report is more
+   * accurate than a single exchange.
+   */
   clockUncertainty(robot: number, ms: number): number {
+    const reported = this.reportedUncertainty.get(this.mission.robots[robot]?.id);
+    return reported ?? this.clockAt(robot, ms)?.uncertainty ?? 0;
+  }
+
+  /** The last exchange with a robot's clock at or before `ms`, or else the first; `null` if there was none. */
+  clockAt(robot: number, ms: number): { offset: number; uncertainty: number } | null {
     const clock = this.clockOf.get(robot);
-    if (clock === undefined) return 0;
-    const wave = this.waves.of(clock.uncertainty);
-    if (wave.count === 0) return 0;
-    return wave.value(Math.max(0, wave.at(ms)));
+    if (clock === undefined) return null;
+    const [offset, uncertainty] = [this.waves.of(clock.offset), this.waves.of(clock.uncertainty)];
+    if (uncertainty.count === 0 || offset.count === 0) return null;
+    const i = Math.max(0, uncertainty.at(ms));
+    return { offset: offset.value(Math.min(i, offset.count - 1)), uncertainty: uncertainty.value(i) };
   }
 
   planOf(act: Played): Plan | null {

@@ -111,6 +111,18 @@ export class Track {
     return { ...this.beforeFirst((segment) => segment.lane.control === "position"), driven, stopped };
   }
 
+  /** The value that the device was last set to, of whatever control; its default before that, or `null`. */
+  lastSet(ms: number): number | null {
+    for (let s = this.segmentAt(ms); s >= 0; s--) {
+      const segment = this.segments[s];
+      if (segment.playedUntil === -Infinity) continue;
+      const until = Math.min(ms, segment.playedUntil);
+      const step = this.wave(segment).at(until - segment.start);
+      if (step >= 0) return this.wave(segment).between(step, until - segment.start, this.device.interpolation);
+    }
+    return this.device.default;
+  }
+
   private readingIn(segment: Segment, step: number, ms: number): Reading {
     const wave = this.wave(segment);
     const known = step + 1 >= wave.count ? "held" : "moving";

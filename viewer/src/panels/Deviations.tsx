@@ -5,7 +5,8 @@ import { useCell } from "../state/cell";
 import { choose } from "../state/choose";
 import { seekAndShow } from "../state/moves";
 import { useSession, type Session } from "../state/session";
-import { rounded, withUnit } from "../text/digits";
+import { signedTime, significant, time } from "../text/amount";
+import { digits, withUnit } from "../text/digits";
 import { Name } from "../text/Name";
 import { clock } from "../text/time";
 import { Limited } from "./Limited";
@@ -16,8 +17,13 @@ export function Deviations() {
   const chosen = useCell(session.chosen);
   const complete = useMemo(() => comparesAll(session.show), [session.show]);
   const tracks = complete ? session.show.tracks : chosen;
-  const all = useMemo(() => deviations(session.show, tracks), [session.show, tracks]);
-  if (all.length === 0) return <p>{nothing(session, complete)}</p>;
+  const { listed: all, uncertain } = useMemo(() => deviations(session.show, tracks), [session.show, tracks]);
+  if (all.length === 0)
+    return (
+      <p>
+        {uncertain > 0 ? "No deviation is larger than the uncertainty of the clocks." : nothing(session, complete)} {ignored(uncertain)}
+      </p>
+    );
   return (
     <>
       <label>
@@ -31,7 +37,7 @@ export function Deviations() {
       </label>
       <small>
         {" "}
-        the {KEPT} largest of each kind{!complete && ", of the lanes whose curves are shown"}
+        the {KEPT} largest of each kind{!complete && ", of the lanes whose curves are shown"}. {ignored(uncertain)}
       </small>
       <Limited items={all.filter((deviation) => kind === "all" || deviation.kind === kind)} name="deviations">
         {(some) => (
@@ -57,7 +63,7 @@ export function Deviations() {
                     <Name text={`${deviation.track.robot.id} / ${deviation.track.name}`} />
                   </th>
                   <td>{deviation.kind}</td>
-                  <td class="number">
+                  <td class="number" title={allDigits(deviation)}>
                     <Name text={amount(deviation)} />
                   </td>
                   <td class="number">{certainty(session, deviation)}</td>
@@ -78,18 +84,25 @@ function nothing({ show }: Session, complete: boolean): string {
     : "The robots of the curves shown did what was planned. Choose other lanes to compare them.";
 }
 
+function ignored(uncertain: number): string {
+  if (uncertain === 0) return "";
+  return `${uncertain} ${uncertain === 1 ? "deviation is" : "deviations are"} smaller than the uncertainty of the clocks and not listed.`;
+}
+
 function go(session: Session, { at, track }: Deviation): void {
   seekAndShow(session, at);
   if (!session.chosen.value.includes(track)) choose(session, track);
 }
 
-/** A smaller deviation than this may be no deviation at all. */
 function certainty({ show }: Session, { kind, track, at }: Deviation): string {
   const uncertainty = show.clockUncertainty(track.robotIndex, at);
-  return kind === "value" || uncertainty === 0 ? "" : `± ${rounded(uncertainty, 6)} ms`;
+  return kind === "value" || uncertainty === 0 ? "" : `± ${time(uncertainty)}`;
 }
 
 function amount({ kind, by, track }: Deviation): string {
-  const sign = by < 0 ? "" : "+";
-  return kind === "value" ? `${sign}${withUnit(rounded(by, 6), track.device.unit)}` : `${sign}${rounded(by, 6)} ms`;
+  return kind === "value" ? `${by < 0 ? "" : "+"}${withUnit(significant(by), track.device.unit)}` : signedTime(by);
+}
+
+function allDigits({ kind, by, track }: Deviation): string {
+  return `exactly ${kind === "value" ? withUnit(digits(by), track.device.unit) : `${digits(by)} ms`}`;
 }

@@ -1,44 +1,85 @@
 // Name of the mission, and the controls of a video player.
+import { useState } from "preact/hooks";
 import { useCell } from "../state/cell";
 import { seekAndShow } from "../state/moves";
 import { setSpeed, shuttle, step, toggle } from "../state/playback";
-import { useSession } from "../state/session";
+import { copyLink } from "../state/address";
+import { MODES, useSession, type Mode } from "../state/session";
 import { Name } from "../text/Name";
 import { clock, timeOfDay } from "../text/time";
 import { Icon } from "./Icon";
-import { outcomeText } from "./outcome";
 import { ThemeTool } from "./ThemeTool";
 import { Tool } from "./Tool";
+import { VerdictLine } from "./VerdictLine";
 
 const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" };
 
 export function Header() {
   const session = useSession();
-  const { scenario, kind, report, cut_off } = session.show.mission;
+  const { scenario, kind, cut_off } = session.show.mission;
   return (
     <header>
       <h1>
         <Name text={scenario} />
       </h1>
       <span class="badge">{KINDS[kind]}</span>
-      {report !== null && (
-        <span class={`badge ${report.outcome === "done" ? "good" : report.outcome === null ? "" : "bad"}`}>
-          <Name text={outcomeText(report)} />
-        </span>
-      )}
+      <Modes />
       <span class="gap" />
       <Transport />
       <span class="gap" />
+      <CopyLink />
       <ThemeTool theme={session.theme} />
       <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>
         ?
       </Tool>
+      <VerdictLine />
       {typeof cut_off === "string" && cut_off !== "" && (
         <p class="cut-off">
-          ⚠ not whole: <Name text={cut_off} />
+          ⚠ incomplete: <Name text={cut_off} />
         </p>
       )}
     </header>
+  );
+}
+
+const MODE_NAMES: Record<Mode, { name: string; key: string }> = {
+  show: { name: "Show", key: "S" },
+  check: { name: "Check", key: "G" },
+  engineer: { name: "Engineer", key: "E" },
+};
+
+function Modes() {
+  const session = useSession();
+  const mode = useCell(session.mode);
+  return (
+    <div class="modes" role="group" aria-label="What the page is for">
+      {MODES.map((key) => (
+        <Tool
+          key={key}
+          label={`${MODE_NAMES[key].name} (${MODE_NAMES[key].key})`}
+          pressed={key === mode}
+          press={() => (session.mode.value = key)}
+        >
+          {MODE_NAMES[key].name}
+        </Tool>
+      ))}
+    </div>
+  );
+}
+
+function CopyLink() {
+  const session = useSession();
+  const [said, setSaid] = useState("");
+  const copy = async () => setSaid((await copyLink(session)) ? "copied" : "in the address bar");
+  return (
+    <>
+      <Tool label="Copy a link to this instant" press={() => void copy()}>
+        Link
+      </Tool>
+      <small role="status" id="link-copied">
+        {said}
+      </small>
+    </>
   );
 }
 
@@ -83,7 +124,7 @@ function Times({ epoch }: { epoch: string }) {
       <output id="playhead" aria-label="Playhead" aria-live="off">
         {clock(playhead)}
       </output>
-      <small title="Time of day here">{timeOfDay(epoch, playhead)}</small>
+      {session.show.mission.kind !== "dry_run" && <small title="Time of day on this computer">{timeOfDay(epoch, playhead)}</small>}
     </span>
   );
 }

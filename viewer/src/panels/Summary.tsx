@@ -1,84 +1,130 @@
-// The outcome of the mission, with the digits of the report.
+// The outcome of the mission: what became of each robot and each act, and how accurate the starts were.
+import { budget, clockUncertainty } from "../data/verdict";
 import { nameOfAct } from "../data/fate";
+import { gravity, robotStates, type RobotState } from "../data/robots";
 import type { Mission, Report, ReportedFailure } from "../mission";
-import { useSession } from "../state/session";
+import { seekAndShow } from "../state/moves";
+import { useSession, type Session } from "../state/session";
+import { aligned, exactly, shortClock, time } from "../text/amount";
 import { digits } from "../text/digits";
 import { courseText, fateText } from "../text/fate";
 import { Name } from "../text/Name";
-import { clock, duration } from "../text/time";
+import { clock, duration, timeOfDay } from "../text/time";
+import { Limited } from "./Limited";
 import { outcomeText } from "./outcome";
 
 export function Summary() {
   const { mission } = useSession().show;
   const { report } = mission;
-  const devices = mission.robots.flatMap((robot) => robot.devices).length;
-  const bodies = mission.robots.filter(({ body }) => body !== null).length;
   return (
     <>
-      <dl class="facts">
-        <dt>scenario</dt>
-        <dd>
-          <Name text={mission.scenario} />
-        </dd>
-        <dt>begins</dt>
-        <dd>
-          <Name text={mission.epoch} />
-        </dd>
-        <dt>known</dt>
-        <dd>
-          {clock(mission.from)} to {clock(mission.to)} ({duration(mission.to - mission.from)})
-        </dd>
-        <dt>robots</dt>
-        <dd>
-          {mission.robots.length}, {bodies} with a body, {devices} devices
-        </dd>
-        {report !== null && <Outcome report={report} />}
-        <dt>written by</dt>
-        <dd>
-          <Name text={mission.program} />
-        </dd>
-      </dl>
+      {report !== null && <Outcome report={report} />}
       {report !== null && report.failures.length > 0 && <Failures report={report} />}
-      {report !== null && report.robots.length > 0 && <Robots report={report} />}
+      <Robots />
+      <Requirements />
       <Acts />
+      <Facts />
     </>
   );
 }
 
 function Outcome({ report }: { report: Report }) {
-  const details = typeof report.outcome !== "object" || report.outcome === null ? "" : JSON.stringify(Object.values(report.outcome)[0]);
+  const { show } = useSession();
+  const details = detailsOf(report.outcome);
+  const { predicted, allowed } = budget(show);
+  const uncertainty = clockUncertainty(show);
   return (
-    <>
+    <dl class="facts" id="outcome">
       <dt>outcome</dt>
       <dd>
-        <Name text={outcomeText(report)} /> {details !== "" && <Name text={details} />}
+        <Name text={`${outcomeText(report)}${details === "" ? "" : `: ${details}`}`} />
       </dd>
-      <dt>spread</dt>
-      <dd id="spread">{inMs(report.spread_ms)}</dd>
+      <dt>starts apart</dt>
+      <dd>
+        <span id="spread" title={exactly(report.spread_ms)}>
+          {time(report.spread_ms)}
+        </span>{" "}
+        by the robots' own clocks
+        {uncertainty !== null && report.spread_ms !== null && `, which are known to ±${time(uncertainty)}`}
+        {(predicted !== null || allowed !== null) && "; "}
+        {predicted !== null && `predicted at most ${time(predicted)}`}
+        {predicted !== null && allowed !== null && ", "}
+        {allowed !== null && `allowed ${time(allowed)}`}
+      </dd>
       {report.true_spread_ms !== undefined && (
         <>
-          <dt>true spread</dt>
-          <dd id="true-spread">{inMs(report.true_spread_ms)}</dd>
+          <dt>truly apart</dt>
+          <dd>
+            <span id="true-spread" title={exactly(report.true_spread_ms)}>
+              {time(report.true_spread_ms)}
+            </span>{" "}
+            by the clock of the virtual world, which no real mission can read
+          </dd>
         </>
       )}
-    </>
+    </dl>
   );
 }
 
-const inMs = (value: number | null) => (value === null ? "–" : `${digits(value)} ms`);
+/** The details of an outcome: "late 109 ms, tolerance 10 ms". */
+function detailsOf(outcome: Report["outcome"]): string {
+  const details = typeof outcome === "object" && outcome !== null ? Object.values(outcome)[0] : null;
+  if (typeof details !== "object" || details === null) return "";
+  return Object.entries(details)
+    .map(([key, value]) => (key.endsWith("_ms") && typeof value === "number" ? `${key.slice(0, -3)} ${time(value)}` : `${key} ${String(value)}`))
+    .join(", ")
+    .replaceAll("_", " ");
+}
+
+function Facts() {
+  const { mission } = useSession().show;
+  const devices = mission.robots.flatMap((robot) => robot.devices).length;
+  const bodies = mission.robots.filter(({ body }) => body !== null).length;
+  const dry = mission.kind === "dry_run";
+  return (
+    <dl class="facts" id="facts">
+      <dt>scenario</dt>
+      <dd>
+        <Name text={mission.scenario} />
+      </dd>
+      <dt>robots</dt>
+      <dd>
+        {mission.robots.length}, {bodies} with a body, {devices} devices
+      </dd>
+      {!dry && (
+        <>
+          <dt>0:00.000</dt>
+          <dd title={mission.epoch}>is {timeOfDay(mission.epoch, 0)} on this computer's clock</dd>
+        </>
+      )}
+      <dt>{dry ? "lasts" : "recorded"}</dt>
+      <dd>
+        {clock(mission.from)} to {clock(mission.to)} ({duration(mission.to - mission.from)})
+      </dd>
+      <dt>written by</dt>
+      <dd>
+        <Name text={mission.program} />
+      </dd>
+    </dl>
+  );
+}
 
 function reasonOf({ text, error, failure }: ReportedFailure): string {
-  return text || error || failure.replaceAll("_", " ") || "why is not known";
+  return text || error || failure.replaceAll("_", " ") || "the reason is not known";
 }
 
 function Failures({ report }: { report: Report }) {
+  const session = useSession();
+  const states = robotStates(session.show);
+  const when = (robot: string) => states.find(({ id }) => id === robot)?.failure?.at ?? null;
   return (
     <>
       <h2>Failures</h2>
       <ul>
         {report.failures.map((failure, i) => (
           <li key={i} class="error-text">
-            ✕ <Name text={[failure.robot, failure.device].filter(Boolean).join(" / ")} /> <Name text={reasonOf(failure)} />
+            ✕ <At session={session} ms={when(failure.robot)} />
+            <Name text={[failure.robot, failure.device].filter(Boolean).join(" / ")} /> <Name text={reasonOf(failure)} />
           </li>
         ))}
       </ul>
@@ -86,44 +132,125 @@ function Failures({ report }: { report: Report }) {
   );
 }
 
-function Robots({ report }: { report: Report }) {
+function At({ session, ms }: { session: Session; ms: number | null }) {
+  if (ms === null) return null;
   return (
-    <table id="robots">
-      <caption>Robots</caption>
+    <>
+      <button type="button" class="link" onClick={() => seekAndShow(session, ms)}>
+        {shortClock(ms)}
+      </button>{" "}
+    </>
+  );
+}
+
+function Requirements() {
+  const requirements = useSession().show.mission.report?.requirements ?? [];
+  if (requirements.length === 0) return null;
+  return (
+    <table id="requirements">
+      <caption>Requirements</caption>
       <thead>
         <tr>
-          <th>robot</th>
-          <th>standing</th>
-          <th class="number">start error</th>
-          <th class="number">steps</th>
-          <th class="number">late</th>
-          <th class="number">clock offset</th>
-          <th class="number">known to</th>
+          <th>requirement</th>
+          <th class="number">found</th>
+          <th>result</th>
         </tr>
       </thead>
       <tbody>
-        {report.robots.map((robot, i) => (
+        {requirements.map(({ requirement, bound, value, unit, found, result }, i) => (
           <tr key={i}>
             <th scope="row">
-              <Name text={robot.robot} />
+              <Name text={`${requirement} ${bound} ${digits(value)} ${unit}`} />
             </th>
-            <td>
-              <Name text={robot.standing || "–"} />
+            <td class="number">{found === null ? "not known" : `${digits(found)} ${unit}`}</td>
+            <td class={result === "met" ? "" : "warn-text"}>
+              {result === "met" ? "✓ " : "⚠ "}
+              {result.replaceAll("_", " ")}
             </td>
-            <td class="number">{inMs(robot.start_error_ms)}</td>
-            <td class="number">
-              {digits(robot.steps_done)}/{digits(robot.steps_planned)}
-            </td>
-            <td class={(robot.late_steps ?? 0) > 0 ? "number warn-text" : "number"}>
-              {(robot.late_steps ?? 0) > 0 && "⚠ "}
-              {digits(robot.late_steps)}
-            </td>
-            <td class="number">{inMs(robot.clock?.offset_ms ?? null)}</td>
-            <td class="number">{robot.clock === null ? "–" : `± ${inMs(robot.clock.uncertainty_ms)}`}</td>
           </tr>
         ))}
       </tbody>
     </table>
+  );
+}
+
+function Robots() {
+  const { show } = useSession();
+  // A stable sort: robots without anything to report keep their order.
+  const states = [...robotStates(show)].sort((a, b) => gravity(b) - gravity(a));
+  const errors = aligned(states.map(({ startError }) => startError));
+  const offsets = aligned(states.map(({ clock }) => clock?.offset_ms ?? null));
+  const known = aligned(states.map(({ clock }) => clock?.uncertainty_ms ?? null));
+  const stops = states.some(({ stop }) => stop !== null);
+  if (states.length === 0) return null;
+  return (
+    <Limited items={states} name="robots">
+      {(some) => (
+        <table id="robots">
+          <caption>Robots</caption>
+          <thead>
+            <tr>
+              <th>robot</th>
+              <th class="number">steps</th>
+              <th>late</th>
+              {stops && <th>stop</th>}
+              <th class="number">start error ({errors.unit})</th>
+              <th class="number">clock ({offsets.unit})</th>
+              <th class="number">known to ({known.unit})</th>
+            </tr>
+          </thead>
+          <tbody>
+            {some.map((state, i) => (
+              <tr key={state.robot}>
+                <th scope="row">
+                  <Name text={state.id} />
+                  {state.leftOut && <small class="warn-text"> left out</small>}
+                </th>
+                <td class="number">
+                  {digits(state.stepsDone)} of {digits(state.stepsPlanned)}
+                </td>
+                <td>
+                  <LateOf state={state} />
+                </td>
+                {stops && (
+                  <td class={state.stop !== null && !state.stop.confirmed ? "error-text" : ""}>
+                    {state.stop === null ? "–" : `${state.stop.confirmed ? "" : "⚠ "}${state.stop.text}`}
+                    {state.stop?.until != null && ` until ${shortClock(state.stop.until)}`}
+                  </td>
+                )}
+                <td class="number" title={exactly(state.startError)}>
+                  {errors.cells[i]}
+                </td>
+                <td class="number" title={exactly(state.clock?.offset_ms)}>
+                  {offsets.cells[i]}
+                </td>
+                <td class="number" title={exactly(state.clock?.uncertainty_ms)}>
+                  {state.clock?.uncertainty_ms == null ? "–" : `± ${known.cells[i]}`}
+                </td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      )}
+    </Limited>
+  );
+}
+
+/** "⚠ 3 steps, up to 225 ms", with a link to the time. */
+function LateOf({ state }: { state: RobotState }) {
+  const session = useSession();
+  if (state.lateSteps === 0) return <>–</>;
+  const first = state.late[0];
+  return (
+    <span class="warn-text" title={exactly(state.lateMost)}>
+      ⚠ {state.lateSteps} step{state.lateSteps === 1 ? "" : "s"}
+      {state.lateMost !== null && `, up to ${time(state.lateMost)}`}{" "}
+      {first !== undefined && (
+        <button type="button" class="link" onClick={() => seekAndShow(session, first.from)}>
+          {shortClock(first.from)}–{shortClock(first.to)}
+        </button>
+      )}
+    </span>
   );
 }
 
@@ -168,14 +295,15 @@ const SENT = new Set(["played", "stopped", "withdrawn", "unknown"]);
 function Acts() {
   const rows = rowsOf(useSession().show.mission);
   if (rows.length === 0) return null;
+  const spreads = aligned(rows.map(({ spread }) => spread));
   return (
     <table id="acts">
       <caption>Acts</caption>
       <thead>
         <tr>
           <th>act</th>
-          <th>what became of it</th>
-          <th class="number">spread</th>
+          <th>result</th>
+          <th class="number">starts apart ({spreads.unit})</th>
           <th class="number">robots</th>
         </tr>
       </thead>
@@ -188,7 +316,9 @@ function Acts() {
             <td>
               <Name text={act.fate} />
             </td>
-            <td class="number">{inMs(act.spread)}</td>
+            <td class="number" title={exactly(act.spread)}>
+              {spreads.cells[i]}
+            </td>
             <td class="number">{digits(act.robots)}</td>
           </tr>
         ))}

@@ -1,4 +1,4 @@
-// The stage as text: the closest robots now, the closest in the act, and the robots whose position is unknown.
+// The stage as text: the closest robots now, the closest in the act, the allowed distance, and robots whose position is unknown.
 import { playedUntil } from "../data/fate";
 import type { Show } from "../data/show";
 import { useCell } from "../state/cell";
@@ -21,10 +21,9 @@ export function StageFacts() {
   return (
     <div class="stage-facts">
       {now !== null && (
-        <span id="closest-now">
+        <span id="closest-now" class={isTooClose(show, now.distance) ? "error-text" : ""}>
           closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m
-          {now.betweenCentres && " between centres"}
-          {!now.certain && ", not certain"}
+          {allowed(show)}
         </span>
       )}
       <ClosestOfAct at={at} />
@@ -36,6 +35,15 @@ export function StageFacts() {
       )}
     </div>
   );
+}
+
+/** The last place is rounded. */
+const ROUNDING = 5e-4;
+const isTooClose = ({ mission }: Show, distance: number) => distance < (mission.space?.distance ?? 0) - ROUNDING;
+
+function allowed({ mission }: Show): string {
+  const least = mission.space?.distance ?? null;
+  return least === null ? "" : `, at least ${digits(least)} m allowed`;
 }
 
 function ClosestOfAct({ at }: { at: number }) {

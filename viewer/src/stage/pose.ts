@@ -12,6 +12,8 @@ export interface Pose {
   yaw: number;
   /** Positions of the joints, from the first to the tip. */
   chain: Point[];
+  /** Whether the position is at least roughly known: not for a robot that never moved and has no default. */
+  placed: boolean;
   /** Why the position of the body is unknown; `null` if it is known. */
   doubt: string | null;
 }
@@ -29,12 +31,13 @@ export function poses(show: Show, ms: number): readonly Pose[] {
 
 function poseOf(show: Show, robot: number, body: Body, ms: number): Pose {
   const doubts: string[] = [];
-  const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, doubts);
+  const unplaced: string[] = [];
+  const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, doubts, unplaced);
   const origin: Point = [value(body.x), value(body.y), value(body.z)];
   const yaw = value(body.yaw);
   const frame = within(shifted(origin), turned([0, 0, 1], yaw));
   const chain = chainOf(body, frame, value);
-  return { robot, body, frame, yaw, chain, doubt: doubts[0] ?? null };
+  return { robot, body, frame, yaw, chain, placed: unplaced.length === 0, doubt: doubts[0] ?? null };
 }
 
 /** Only the centre of the body, for trails. */
@@ -53,13 +56,14 @@ function chainOf(body: Body, base: Frame, value: (coordinate: Coordinate) => num
   });
 }
 
-function valueOf(show: Show, robot: number, { device, scale, offset }: Coordinate, ms: number, doubts: string[]): number {
+function valueOf(show: Show, robot: number, { device, scale, offset }: Coordinate, ms: number, doubts: string[], unplaced: string[] = []): number {
   if (device === null) return offset;
   const track = show.track(robot, device);
   const reading = track?.positionAt(ms) ?? null;
   const doubt = doubtOf(reading);
   if (doubt !== null) doubts.push(`${show.mission.robots[robot].devices[device]?.id ?? `device ${device}`} ${doubt}`);
   const value = reading?.value ?? NaN;
+  if (Number.isNaN(value)) unplaced.push("");
   return offset + (Number.isNaN(value) ? 0 : scale * value);
 }
 

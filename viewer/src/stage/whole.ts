@@ -1,31 +1,57 @@
-// A camera with every position of a body during the mission in view.
+// Every position of a body during the mission, and the cameras that show all of them.
 import type { Show } from "../data/show";
-import type { Camera } from "./camera";
+import { fixturesOf } from "../data/lamps";
+import { fitted, type Camera, type Preset } from "./camera";
 import { poses } from "./pose";
 import type { Point } from "./space";
 
 /** Number of sampled instants. Between them, a body does not move far beyond these positions. */
 const INSTANTS = 40;
+/** The most positions that are sampled. */
+const POSITIONS = 20_000;
 
-export function seesAll(show: Show): Camera {
-  const { from, to } = show.mission;
-  const low = [Infinity, Infinity, Infinity];
-  const high = [-Infinity, -Infinity, -Infinity];
-  for (let i = 0; i <= INSTANTS; i++) {
-    for (const { frame, chain, body } of poses(show, from + ((to - from) * i) / INSTANTS)) {
-      const size = "ball" in body.shape ? body.shape.ball : Math.max(...body.shape.box) / 2;
-      for (const point of [frame.origin, ...chain]) widen(low, high, point, size);
-    }
-  }
-  if (low[0] > high[0]) return { target: [0, 0, 0], reach: 1, azimuth: -0.6, elevation: 0.5 };
-  const target: Point = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2];
-  const reach = Math.max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 0.2) / 2;
-  return { target, reach: reach * 1.2, azimuth: -0.6, elevation: 0.5 };
+interface Extent {
+  points: Point[];
+  /** The largest radius of a body. */
+  room: number;
 }
 
-function widen(low: number[], high: number[], point: Point, size: number): void {
-  point.forEach((value, i) => {
-    low[i] = Math.min(low[i], value - size);
-    high[i] = Math.max(high[i], value + size);
-  });
+const known = new WeakMap<Show, Extent>();
+
+function extentOf(show: Show): Extent {
+  let extent = known.get(show);
+  if (extent === undefined) {
+    extent = sample(show);
+    known.set(show, extent);
+  }
+  return extent;
+}
+
+function sample(show: Show): Extent {
+  const { robots, to } = show.mission;
+  const extent: Extent = { points: [], room: 0 };
+  const instants = Math.max(4, Math.min(INSTANTS, Math.floor(POSITIONS / Math.max(1, robots.length))));
+  const from = Math.max(show.mission.from, 0);
+  for (let i = 0; i <= instants; i++) {
+    for (const { frame, chain, body, placed } of poses(show, from + ((to - from) * i) / instants)) {
+      if (!placed) continue;
+      const size = "ball" in body.shape ? body.shape.ball : Math.max(...body.shape.box) / 2;
+      extent.room = Math.max(extent.room, size);
+      extent.points.push(frame.origin, ...chain);
+    }
+  }
+  return extent;
+}
+
+export function seesAll(show: Show, preset: Preset, width: number, height: number): Camera {
+  const { points, room } = extentOf(show);
+  return fitted(points, preset, Math.max(1, width), Math.max(1, height), room);
+}
+
+/** Lights in the air are seen from the audience; everything else obliquely from above. */
+export function firstPreset(show: Show): Preset {
+  const { points } = extentOf(show);
+  const heights = points.map(([, , z]) => z);
+  const rises = heights.reduce((most, z) => Math.max(most, z), 0) > 2;
+  return rises && fixturesOf(show).length > 0 ? "audience" : "space";
 }

@@ -19,6 +19,13 @@ export function moveFocus(session: Session, by: 1 | -1): void {
   if (treeHasFocus) requestAnimationFrame(() => document.getElementById(`row-${next}`)?.focus());
 }
 
+/** Selects a robot on the stage and its row; `null` selects none. */
+export function selectRobot(session: Session, robot: number | null): void {
+  session.robot.value = robot;
+  const row = session.rows.value.findIndex((candidate) => candidate.kind === "robot" && candidate.robot === robot);
+  if (row >= 0) session.focusedRow.value = row;
+}
+
 export function choose(session: Session, track: Track): void {
   const chosen = session.chosen.value;
   session.chosen.value = chosen.includes(track)

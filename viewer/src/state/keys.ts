@@ -1,4 +1,5 @@
 // Every key of the page. The help dialog is made from the same table.
+import { PRESETS, type Preset } from "../stage/camera";
 import { choose, fold, foldAll, moveFocus } from "./choose";
 import { clearSelection, fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSelection } from "./moves";
 import { pause, setSpeed, shuttle, step, toggle } from "./playback";
@@ -70,7 +71,12 @@ export const KEYS: Key[] = [
     run: (session, key) => nextCue(session, key === "n" ? 1 : -1),
   },
   { keys: ["R"], does: "show relations of cues", run: (session) => (session.relations.value = !session.relations.value) },
-  { keys: ["V"], does: "stage from above or in space", run: (session) => (session.stageIn3d.value = !session.stageIn3d.value) },
+  { keys: ["V"], does: "stage from the next side: audience, front, side, 3D, top", run: nextPreset },
+  {
+    keys: ["S", "G", "E"],
+    does: "show, check, or engineer: what the page is for",
+    run: (session, key) => (session.mode.value = key === "s" ? "show" : key === "g" ? "check" : "engineer"),
+  },
   { keys: ["C"], does: "to the instant at which two robots are closest", run: closest },
   { keys: ["/"], does: "search", run: () => document.getElementById("search")?.focus() },
   {
@@ -116,6 +122,11 @@ function takesKeys({ target, key }: KeyboardEvent): boolean {
   if (target.getAttribute("role") === "tabpanel") return /^(ArrowUp|ArrowDown|Page|Home|End)/.test(key);
   if (target instanceof HTMLButtonElement) return key === " " || key === "Enter";
   return false;
+}
+
+function nextPreset(session: Session): void {
+  const names = Object.keys(PRESETS) as Preset[];
+  session.preset.value = names[(names.indexOf(session.preset.value) + 1) % names.length];
 }
 
 const sideways = (key: string) => (key.endsWith("Left") ? -1 : 1);

@@ -5,6 +5,11 @@ import type { Session } from "./session";
 const FASTEST = 10;
 const SLOWEST = 0.1;
 
+/** The show begins by itself, unless the user prefers less motion. */
+export function playAtFirst(session: Session): void {
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(session);
+}
+
 export function play(session: Session): void {
   const { from, to } = session.show.mission;
   const forwards = session.speed.value > 0;

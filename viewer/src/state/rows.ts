@@ -1,10 +1,11 @@
 // The rows of the timeline, from top to bottom, after filters and folding.
 import type { PlacedCue, Show } from "../data/show";
+import { rowsOfCues } from "../timeline/packed";
 import type { Track } from "../data/track";
 
 export type Row = { top: number; height: number } & (
   | { kind: "cues"; cues: PlacedCue[] }
-  | { kind: "robot"; robot: number; folded: boolean; tracks: readonly Track[]; cues: PlacedCue[] }
+  | { kind: "robot"; robot: number; folded: boolean; tracks: readonly Track[]; lines: PlacedCue[][] }
   | { kind: "lane"; track: Track }
 );
 
@@ -18,6 +19,20 @@ export interface Filter {
 export const NO_FILTER: Filter = { text: "", robot: null, group: null, cue: null };
 
 const HEIGHT = { cues: 26, robot: 28, folded: 44, lane: 36 };
+/** Height of one line of cues in the row of a robot, and of each of several lines. */
+export const LINE = { only: 22, several: 15 };
+/** More lines of a robot share the last one. */
+const LINES = 4;
+
+export const lineHeight = (lines: number) => (lines > 1 ? LINE.several : LINE.only);
+
+/** Height of all lines of cues of a robot. */
+const linesHeight = (lines: number) => lineHeight(lines) * Math.max(1, lines);
+
+function linesOf(cues: PlacedCue[]): PlacedCue[][] {
+  const lines = rowsOfCues(cues, false);
+  return lines.length <= LINES ? lines : [...lines.slice(0, LINES - 1), lines.slice(LINES - 1).flat().sort((a, b) => a.start - b.start)];
+}
 
 export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>): Row[] {
   const rows: Row[] = [];
@@ -27,36 +42,32 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
     rows.push(row);
     top += row.height;
   };
-  for (const cues of packed(shownCues(show, filter))) add({ kind: "cues", cues, top, height: HEIGHT.cues });
+  const passing = shownCues(show, filter);
+  const passes = new Set(passing);
+  for (const cues of rowsOfCues(passing)) add({ kind: "cues", cues, top, height: HEIGHT.cues });
   const cuesOf = show.mission.robots.map((): PlacedCue[] => []);
   for (const placed of show.cues) for (const robot of placed.cue.robots) cuesOf[robot]?.push(placed);
   for (const { robot, tracks } of shownRobots(show, filter)) {
     const closed = folded.has(robot);
+    const lines = linesOf(cuesOf[robot].filter((placed) => passes.has(placed)));
     add({
       kind: "robot",
       robot,
       tracks,
       folded: closed,
-      cues: cuesOf[robot],
+      lines,
       top,
-      height: closed ? HEIGHT.folded : HEIGHT.robot,
+      height: (closed ? HEIGHT.folded : HEIGHT.robot) - LINE.only + linesHeight(lines.length),
     });
     if (!closed) for (const track of tracks) add({ kind: "lane", track, top, height: HEIGHT.lane });
   }
   return rows;
 }
 
-/** Puts each cue in the first row in which it does not overlap the previous cue. */
-function packed(cues: PlacedCue[]): PlacedCue[][] {
-  const rows: PlacedCue[][] = [];
-  const ends: number[] = [];
-  for (const placed of [...cues].sort((a, b) => a.start - b.start || a.index - b.index)) {
-    let row = ends.findIndex((end) => end <= placed.start);
-    if (row < 0) row = rows.push([]) - 1;
-    rows[row].push(placed);
-    ends[row] = Math.max(placed.end + placed.cue.slack, placed.start + 1);
-  }
-  return rows;
+/** `null` if no filter excludes a robot. */
+export function filteredRobots(show: Show, filter: Filter): ReadonlySet<number> | null {
+  if (filter === NO_FILTER || Object.values(filter).every((part) => part === null || part === "")) return null;
+  return new Set(shownRobots(show, filter).map(({ robot }) => robot));
 }
 
 function shownCues(show: Show, filter: Filter): PlacedCue[] {

@@ -5,9 +5,14 @@ import type { View } from "../data/envelope";
 import type { Show } from "../data/show";
 import type { Track } from "../data/track";
 import { Cell } from "./cell";
-import { NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
+import { firstPreset } from "../stage/whole";
+import type { Preset } from "../stage/camera";
+import { filteredRobots, NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
 
 export type Theme = "light" | "dark";
+/** What the page is for: watching the show, checking it before or after it is played, or every detail. */
+export type Mode = "show" | "check" | "engineer";
+export const MODES: readonly Mode[] = ["show", "check", "engineer"];
 export type Tab = "summary" | "values" | "cues" | "deviations" | "findings" | "events" | "source" | "differences";
 export type Range = { from: number; to: number };
 /** Effect of dragging over the timeline. */
@@ -38,7 +43,12 @@ export class Session {
   readonly tab = new Cell<Tab>("summary");
   readonly help = new Cell(false);
   readonly theme: Cell<Theme>;
-  readonly stageIn3d = new Cell(false);
+  readonly mode: Cell<Mode>;
+  readonly preset: Cell<Preset>;
+  /** The robot that is selected on the stage. */
+  readonly robot = new Cell<number | null>(null);
+  /** The robots that pass the filters; `null` for all. */
+  readonly shownRobots = new Cell<ReadonlySet<number> | null>(null);
   readonly trails = new Cell(true);
   readonly labels = new Cell(true);
   /** Announced to screen readers, but never on every frame. */
@@ -46,14 +56,20 @@ export class Session {
 
   constructor(readonly show: Show) {
     this.view = new Cell(wholeView(show));
+    this.mode = new Cell<Mode>(hasStage(show) ? "show" : "check");
+    this.preset = new Cell<Preset>(firstPreset(show));
     const folds = show.tracks.length > LANES_UNFOLDED;
     this.folded = new Cell<ReadonlySet<number>>(new Set(folds ? show.mission.robots.map((_, index) => index) : []));
     this.chosen = new Cell<readonly Track[]>(show.tracks.filter((track) => track.segments.length > 0).slice(0, CURVES_AT_FIRST));
     this.rows = new Cell<readonly Row[]>(rowsOf(show, this.filter.value, this.folded.value));
     this.theme = new Cell(preferredTheme());
-    if (show.mission.compared) this.tab.value = "differences";
+    if (show.mission.compared) {
+      this.tab.value = "differences";
+      this.mode.value = "engineer";
+    }
     this.playhead.value = Math.max(show.mission.from, Math.min(0, show.mission.to));
     const relist = () => {
+      this.shownRobots.value = filteredRobots(show, this.filter.value);
       this.rows.value = rowsOf(show, this.filter.value, this.folded.value);
       this.focusedRow.value = Math.min(this.focusedRow.value, Math.max(0, this.rows.value.length - 1));
     };
@@ -71,6 +87,8 @@ export class Session {
     return row?.kind === "lane" ? row.track : null;
   }
 }
+
+export const hasStage = ({ mission }: Show) => mission.robots.some(({ body }) => body !== null);
 
 export function preferredTheme(): Theme {
   return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";

@@ -9,7 +9,7 @@ export function fateText({ fate, over }: Pick<Played, "fate" | "over">): string 
   if (fate === "stopped") return `stopped${when}`;
   if (fate === "withdrawn") return `withdrawn before anything moved${when === "" ? "" : `,${when}`}`;
   if (fate === "unknown") return "unknown whether it was played to its end";
-  return "outcome unknown";
+  return when === "" ? "outcome unknown" : `not known from${when.slice(3)}`;
 }
 
 /** For an act that was planned from `start` to `end`; empty if it was played. */

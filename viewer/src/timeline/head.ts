@@ -32,7 +32,7 @@ export function drawHead(sheet: Sheet, scale: Scale, show: Show): void {
   context.stroke();
 }
 
-function drawAxis({ context, palette }: Sheet, scale: Scale): void {
+function drawAxis({ context, palette, width }: Sheet, scale: Scale): void {
   const step = niceTime(scale.perPixel, 80);
   context.font = MONO;
   context.textBaseline = "middle";
@@ -43,7 +43,7 @@ function drawAxis({ context, palette }: Sheet, scale: Scale): void {
     const x = Math.round(scale.x(time)) + 0.5;
     context.moveTo(x, BAND.axis - 7);
     context.lineTo(x, BAND.axis);
-    context.fillText(axisLabel(time, step), x + 4, 11);
+    if (x + 34 < width) context.fillText(axisLabel(time, step), x + 4, 11);
   }
   for (const time of ticks(scale, step / 5)) {
     const x = Math.round(scale.x(time)) + 0.5;
@@ -53,7 +53,7 @@ function drawAxis({ context, palette }: Sheet, scale: Scale): void {
   context.stroke();
 }
 
-function axisLabel(ms: number, step: number): string {
+export function axisLabel(ms: number, step: number): string {
   if (step < 1000) return duration(Number(ms.toFixed(3)));
   const seconds = Math.round(Math.abs(ms) / 1000);
   const sign = ms < 0 ? "-" : "";

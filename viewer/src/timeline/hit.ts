@@ -1,8 +1,9 @@
 // The item that is drawn at a point of the timeline.
 import type { PlacedCue } from "../data/show";
 import type { MissionEvent } from "../mission";
-import type { Row } from "../state/rows";
+import { lineHeight, type Row } from "../state/rows";
 import type { Session } from "../state/session";
+import { PIN } from "./cues";
 import { BAND_TOP, HEAD_HEIGHT } from "./head";
 import { phasesOf, type Phase } from "./phases";
 import { scaleOf, type Scale } from "./scale";
@@ -31,10 +32,11 @@ export function hit(session: Session, width: number, x: number, y: number, scrol
 }
 
 function cueIn(row: Exclude<Row, { kind: "lane" }>, scale: Scale, x: number, y: number): PlacedCue | null {
-  if (row.kind === "robot" && y > 24) return null;
-  const under = row.cues.filter(
+  const each = row.kind === "robot" ? lineHeight(row.lines.length) : row.height;
+  const cues = row.kind === "robot" ? (row.lines[Math.floor((y - 2) / each)] ?? []) : row.cues;
+  const under = cues.filter(
     (placed) =>
-      scale.x(placed.start) - 1 <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1,
+      scale.x(placed.start) - PIN <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1,
   );
   return under.length === 0 ? null : under.reduce((a, b) => (b.start >= a.start ? b : a));
 }

@@ -7,8 +7,8 @@ import type { Scale } from "./scale";
 /** Number of devices of a folded robot that are drawn. */
 const SUMMED_UP = 3;
 
-/** Width of a column in such a lane, in pixels: many robots show their rhythm, not their steps. */
-const SUMMARY_COLUMN = 3;
+/** Width of a column in pixels: that of a pixel of the screen, up to half a pixel of the page. */
+const columnWidth = () => 1 / Math.min(2, Math.max(1, Math.round(window.devicePixelRatio || 1)));
 
 let envelope: Envelope = makeEnvelope(0);
 
@@ -16,7 +16,7 @@ export function drawLane(sheet: Sheet, scale: Scale, track: Track, top: number, 
   const { context, palette } = sheet;
   context.fillStyle = palette.planned;
   context.globalAlpha = chosen ? 1 : 0.75;
-  drawColumns(context, scale, track, top + 4, height - 8, 1);
+  drawColumns(context, scale, track, top + 4, height - 8, columnWidth());
   context.globalAlpha = 1;
 }
 
@@ -24,7 +24,7 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   const { context, palette } = sheet;
   context.fillStyle = palette.planned;
   context.globalAlpha = 0.4;
-  for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, SUMMARY_COLUMN);
+  for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, 1);
   context.globalAlpha = 1;
 }
 

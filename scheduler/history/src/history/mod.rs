@@ -1,6 +1,7 @@
 //! Missions that were played, read from their journals and recordings.
 
 mod fate;
+mod late;
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -10,9 +11,10 @@ use std::path::{Path, PathBuf};
 use mcap::MessageStream;
 use mcap::read::Options;
 use serde::Serialize;
+use serde_json::Value;
 use urrcp::{
-    ControlType, InitializationBlock, Interpolation, Message, RequestId, Robot, RobotId, Server, Span,
-    Status, Timestamp,
+    ControlType, InitializationBlock, Interpolation, Message, Millis, RequestId, Robot, RobotId, Server,
+    Span, Status, Timestamp,
 };
 
 use downbeat_mission::report::{ActFate, ActReport, Outcome};
@@ -22,6 +24,7 @@ use downbeat_runtime::recording::{ClockOffset, PlannedValue, ReportedValue, VERS
 
 pub use self::fate::fate_text;
 pub(crate) use self::fate::{Fate, over};
+pub(crate) use self::late::LateSteps;
 
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
@@ -42,6 +45,8 @@ pub struct History {
     pub records: Vec<(Timestamp<Server>, Record)>,
     /// The messages to the operator, with their times; empty for a journal.
     pub(crate) told: Vec<(Timestamp<Server>, Progress)>,
+    /// The report with which the mission ended, in the form of `--format json`; `None` for a journal, and if the recording lacks its end.
+    ended_with: Option<Value>,
     pub(crate) robots: Vec<KnownRobot>,
     /// What each topic of the recording is about; `None` for topics that contain no known data of a robot.
     routes: HashMap<String, Option<Route>>,
@@ -89,8 +94,12 @@ pub(crate) struct KnownRobot {
     pub(crate) exchanges: Vec<Exchange>,
     /// The recorded send times of unanswered questions, by the kind of the question and the timestamp that it contains.
     open: HashMap<(Question, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
+    /// When the last response of the robot was received.
+    heard: Option<Timestamp<Server>>,
     /// The readings of sensors with their arrival times, by device.
     pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
+    /// The late steps that the robot reported, by request id.
+    pub(crate) late: BTreeMap<String, LateSteps>,
 }
 
 /// The four timestamps of a question and its answer, as in RFC 5905, section 8.
@@ -188,6 +197,10 @@ pub struct HistoryReport<'a> {
     pub spread: Option<Span>,
     /// The reports of the acts that have ended, without attempts that were withdrawn and repeated.
     pub acts: Vec<&'a ActReport>,
+    /// The results of each robot over all acts, in the form of the report of `run`; empty for a journal, and if the recording lacks its
+    /// end.
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    pub robots: &'a [Value],
     /// The failures of robots, in order of time.
     pub failures: Vec<&'a Failure>,
 }
@@ -204,8 +217,29 @@ impl History {
             start: self.promises().next().map(|(_, promise)| promise.start),
             spread: acts.iter().filter_map(|act| act.spread).max(),
             acts,
+            robots: self
+                .ended_with
+                .as_ref()
+                .and_then(|report| report["robots"].as_array())
+                .map_or(&[], Vec::as_slice),
             failures: self.failures(),
         }
+    }
+
+    /// The report as JSON for the page: the acts of the whole mission, and everything else that the mission itself reported at its end.
+    pub(crate) fn whole_report(&self) -> Option<Value> {
+        let mut report = serde_json::to_value(self.report()).ok()?;
+        let known = report.as_object_mut()?;
+        for (key, value) in self.ended_with.iter().filter_map(Value::as_object).flatten() {
+            known.entry(key.clone()).or_insert_with(|| value.clone());
+        }
+        Some(report)
+    }
+
+    /// The last instant of which the file contains anything; `None` if it contains nothing.
+    pub(crate) fn known_until(&self) -> Option<Timestamp<Server>> {
+        let happened = self.told.iter().map(|(at, _)| *at).chain(self.records.iter().map(|(at, _)| *at));
+        happened.chain(self.robots.iter().filter_map(|robot| robot.heard)).max()
     }
 
     /// The outcome of the mission; `None` if its end is not known.
@@ -280,6 +314,7 @@ impl History {
             cut_off,
             records: records.all,
             told: Vec::new(),
+            ended_with: None,
             robots: robots.into_iter().map(|robot| KnownRobot::new(robot.robot, robot.init)).collect(),
             routes: HashMap::new(),
         }
@@ -404,6 +439,9 @@ impl History {
             "/mission/progress" => {
                 self.told.push((at, serde_json::from_slice(&message.data).map_err(damaged)?));
             }
+            "/mission/report" => {
+                self.ended_with = Some(serde_json::from_slice(&message.data).map_err(damaged)?)
+            }
             topic => self.take_of_robot(topic, at, &message.data).map_err(damaged)?,
         }
         Ok(())
@@ -478,7 +516,8 @@ impl KnownRobot {
     pub(crate) fn new(id: RobotId, init: Option<InitializationBlock>) -> Self {
         let (planned, reported, readings) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let (clock, exchanges, open) = (Vec::new(), Vec::new(), HashMap::new());
-        Self { id, init, planned, reported, clock, exchanges, open, readings }
+        let (heard, late) = (None, BTreeMap::new());
+        Self { id, init, planned, reported, clock, exchanges, open, heard, readings, late }
     }
 
     /// Stores the send time of a request if the robot may answer it with timestamps.
@@ -495,17 +534,40 @@ impl KnownRobot {
 
     /// Stores a robot's description, or evaluates an answer with timestamps.
     fn says(&mut self, at: Timestamp<Server>, response: Message) {
+        self.heard = self.heard.max(Some(at));
         match response {
+            Message::ControlResponse(answer) => {
+                if let Some(request) = answer.request_id {
+                    self.is_late(at, &request, answer.late_steps, answer.late_ms_max);
+                }
+            }
             Message::AvailabilityResponse(answer) => {
                 let own = answer.originate_timestamp;
                 self.answers(Question::Availability, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InquiryResponse(answer) => {
+                for request in answer.requests {
+                    self.is_late(at, &request.request_id, request.late_steps, request.late_ms_max);
+                }
                 let own = answer.originate_timestamp;
                 self.answers(Question::Inquiry, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InitializationBlock(block) => self.init = Some(block),
             _ => {}
+        }
+    }
+
+    /// Stores how many steps of a request were late. `None` if the robot does not report it.
+    fn is_late(
+        &mut self,
+        at: Timestamp<Server>,
+        request: &RequestId,
+        steps: Option<u32>,
+        most: Option<Millis>,
+    ) {
+        if let Some(steps) = steps {
+            let name = promised_name(request.as_str()).to_owned();
+            self.late.entry(name).or_default().report(at, steps, most.map(Millis::span));
         }
     }
 

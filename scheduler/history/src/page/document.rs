@@ -22,10 +22,13 @@ pub(super) struct Mission {
     pub(super) epoch: String,
     pub(super) from: f64,
     pub(super) to: f64,
+    /// The last instant of which the file contains anything. Later parts of the plan may not have been played yet.
+    pub(super) known_until: f64,
     pub(super) report: Option<Value>,
     pub(super) sources: Vec<Source>,
     pub(super) robots: Vec<Robot>,
     pub(super) groups: Vec<Group>,
+    pub(super) space: Space,
     pub(super) plans: Vec<Plan>,
     pub(super) acts: Vec<Played>,
     pub(super) events: Vec<MissionEvent>,
@@ -34,6 +37,8 @@ pub(super) struct Mission {
     pub(super) set: Vec<DeviceSeries>,
     pub(super) read: Vec<DeviceSeries>,
     pub(super) clocks: Vec<Clock>,
+    /// Late steps, as robots reported them while they played; empty unless the mission was recorded.
+    pub(super) late: Vec<Late>,
     /// The comparison with another plan or mission, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) compared: Option<Compared>,
@@ -106,9 +111,31 @@ pub(super) struct Group {
     pub(super) robots: Vec<usize>,
 }
 
+/// The requirements of the fleet file on the space of all bodies, in metres. Sides without a limit are infinite, which is `null` in JSON.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Space {
+    /// Least distance between the surfaces of two bodies.
+    pub(super) distance: Option<f64>,
+    pub(super) keep_in: Option<Volume>,
+    pub(super) keep_out: Vec<NamedVolume>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Volume {
+    pub(super) least: [f64; 3],
+    pub(super) most: [f64; 3],
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct NamedVolume {
+    pub(super) name: String,
+    pub(super) volume: Volume,
+}
+
 #[derive(Debug, Serialize)]
 pub(super) struct Device {
     pub(super) id: String,
+    pub(super) name: String,
     pub(super) unit: String,
     pub(super) interpolation: &'static str,
     pub(super) granularity: Option<f64>,
@@ -126,6 +153,9 @@ pub(super) struct Body {
     pub(super) yaw: Coordinate,
     pub(super) shape: Shape,
     pub(super) joints: Vec<Joint>,
+    /// The fleet file's limits of the middle's speed in m/s and its acceleration in m/s².
+    pub(super) speed: Option<f64>,
+    pub(super) acceleration: Option<f64>,
 }
 
 /// A coordinate, computed as `offset + scale * value of the device`. Without a device, it is always `offset`.
@@ -163,7 +193,26 @@ pub(super) struct Plan {
     pub(super) cues: Vec<Cue>,
     pub(super) lanes: Vec<Lane>,
     pub(super) closest: Option<Closest>,
+    pub(super) bodies: Vec<BodyUse>,
+    pub(super) budgets: Vec<StepBudget>,
     pub(super) waits: String,
+}
+
+/// The largest speed in m/s and acceleration in m/s² of a body's middle.
+#[derive(Debug, Serialize)]
+pub(super) struct BodyUse {
+    pub(super) robot: usize,
+    pub(super) speed: f64,
+    pub(super) acceleration: f64,
+}
+
+/// The number of steps of a device, and the largest number that it can hold.
+#[derive(Debug, Serialize)]
+pub(super) struct StepBudget {
+    pub(super) robot: usize,
+    pub(super) device: usize,
+    pub(super) steps: usize,
+    pub(super) budget: u64,
 }
 
 #[derive(Debug, Serialize)]
@@ -174,6 +223,8 @@ pub(super) struct Cue {
     pub(super) slack: f64,
     /// Whether the cue is on the critical path, which determines when the act ends.
     pub(super) critical: bool,
+    /// The choreographer's remark.
+    pub(super) note: Option<String>,
     pub(super) robots: Vec<usize>,
     pub(super) source: usize,
     pub(super) first_line: usize,
@@ -264,4 +315,19 @@ pub(super) struct Clock {
     pub(super) robot: usize,
     pub(super) offset: Series,
     pub(super) uncertainty: Series,
+}
+
+/// Steps of a device that were late.
+#[derive(Debug, Serialize)]
+pub(super) struct Late {
+    pub(super) robot: usize,
+    pub(super) device: usize,
+    /// Number of the act.
+    pub(super) act: u32,
+    /// The steps were due within this time.
+    pub(super) from: f64,
+    pub(super) to: f64,
+    pub(super) steps: u32,
+    /// The largest lateness in milliseconds; `None` if the robot does not report it.
+    pub(super) most: Option<f64>,
 }

@@ -130,10 +130,12 @@ impl Rehearsed<'_> {
             epoch: epoch.0.to_string(),
             from,
             to,
+            known_until: to,
             report: serde_json::to_value(report).ok(),
             sources: planned::sources(outline),
             robots: planned::robots(&of_mission, &places),
             groups: planned::groups(fleet, &places),
+            space: planned::space(fleet),
             plans: planned::plans(choreography, outline, &places, columns),
             acts,
             events: events::of_told(told, &places, epoch),
@@ -141,6 +143,7 @@ impl Rehearsed<'_> {
             set: played::set(played, choreography, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
             clocks: played::clocks(report, &places, from, to, columns),
+            late: Vec::new(),
             compared: None,
         }
     }

@@ -10,7 +10,8 @@ use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
 
 use super::columns::{Columns, Points};
 use super::document::{
-    Body, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, Plan, Robot, Script, Shape, Source,
+    Body, BodyUse, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, NamedVolume, Plan, Robot,
+    Script, Shape, Source, Space, StepBudget, Volume,
 };
 use downbeat_show::waits;
 
@@ -69,6 +70,7 @@ fn driven(robot: &FleetRobot) -> Vec<Device> {
     let Some(drive) = robot.body.as_ref().and_then(|body| body.drive.as_ref()) else { return Vec::new() };
     let device = |((name, unit), start): ((&str, &str), f64)| Device {
         id: name.to_owned(),
+        name: String::new(),
         unit: unit.to_owned(),
         interpolation: "linear",
         granularity: None,
@@ -115,11 +117,26 @@ pub(super) fn groups(fleet: &Fleet, places: &Places) -> Vec<Group> {
     fleet.groups.iter().map(of_mission).filter(|group| !group.robots.is_empty()).collect()
 }
 
+pub(super) fn space(fleet: &Fleet) -> Space {
+    let scripts::Space { distance, keep_in, keep_out } = &fleet.space;
+    let volume = |volume: &scripts::Volume| Volume { least: volume.least, most: volume.most };
+    let named =
+        |(name, out): (&String, &scripts::Volume)| NamedVolume { name: name.clone(), volume: volume(out) };
+    Space {
+        distance: *distance,
+        keep_in: keep_in.as_ref().map(volume),
+        keep_out: keep_out.iter().map(named).collect(),
+    }
+}
+
 pub(super) fn device(device: &urrcp::Device) -> Device {
     let types = &device.available_control_types;
     let limits = device.primary_control_type().and_then(|primary| types.limits(primary));
+    // Control types with several values, such as colours, have no limits of their own.
+    let limits = limits.or_else(|| types.script().map(|script| &script.limits));
     Device {
         id: device.id.to_string(),
+        name: device.name.as_ref().map(ToString::to_string).unwrap_or_default(),
         unit: device.unit.as_ref().map(ToString::to_string).unwrap_or_default(),
         interpolation: match device.interpolation {
             Interpolation::Linear => "linear",
@@ -158,7 +175,7 @@ fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     };
     let mut joints: Vec<Joint> = body.joints.iter().map(joint).collect();
     joints.extend(body.joints.last().map(|last| tip(body.tip, last.radius)));
-    Body { x, y, z, yaw, shape, joints }
+    Body { x, y, z, yaw, shape, joints, speed: body.speed, acceleration: body.acceleration }
 }
 
 /// Represents the end of the last link as a fixed joint.
@@ -204,8 +221,21 @@ fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &m
         cues: act.cues.iter().zip(written).map(|(cue, written)| self::cue(cue, written, places)).collect(),
         lanes: lanes(act, places, columns),
         closest,
+        bodies: act.in_space.bodies.iter().filter_map(|used| body_use(used, places)).collect(),
+        budgets: act.devices.iter().filter_map(|used| step_budget(used, places)).collect(),
         waits: waits(&act.wait),
     }
+}
+
+fn body_use(used: &scripts::BodyUse, places: &Places) -> Option<BodyUse> {
+    let robot = places.robot(&used.robot)?;
+    Some(BodyUse { robot, speed: used.speed, acceleration: used.acceleration })
+}
+
+fn step_budget(used: &scripts::DeviceUse, places: &Places) -> Option<StepBudget> {
+    let robot = places.robot(&used.robot)?;
+    let device = places.device(robot, &used.device)?;
+    Some(StepBudget { robot, device, steps: used.steps, budget: used.budget })
 }
 
 fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue {
@@ -215,6 +245,7 @@ fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue 
         end: cue.end.as_millis_f64(),
         slack: cue.slack.as_millis_f64(),
         critical: cue.critical,
+        note: cue.text.note.clone(),
         robots: written.robots.iter().filter_map(|robot| places.robot(robot)).collect(),
         source: written.source,
         first_line: written.first_line,

@@ -8,7 +8,7 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
 use super::document::{
-    Clock, Device, DeviceSeries, DocumentKind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script,
+    Clock, Device, DeviceSeries, DocumentKind, Lane, Late, Mission, Plan, Played, PlayedRobot, Robot, Script,
     VERSION,
 };
 use super::events;
@@ -49,9 +49,11 @@ impl History {
             epoch: epoch.0.to_string(),
             from: times.iter().copied().fold(0.0, f64::min),
             to: times.iter().copied().fold(0.0, f64::max),
-            report: serde_json::to_value(self.report()).ok(),
+            known_until: self.known_until().map_or(0.0, |at| epoch.millis(at)),
+            report: self.whole_report(),
             sources: written.map(|written| planned::sources(written.outline)).unwrap_or_default(),
             groups: written.map(|written| planned::groups(written.fleet, &places)).unwrap_or_default(),
+            space: written.map(|written| planned::space(written.fleet)).unwrap_or_default(),
             plans: self.plans(written, &sent, &acts, &places, columns),
             acts,
             events,
@@ -61,6 +63,7 @@ impl History {
             set: Vec::new(),
             read: self.reported(&places, epoch, columns),
             clocks: self.clocks(&places, epoch, columns),
+            late: self.late(&places, epoch),
             compared: None,
             robots,
         }
@@ -183,6 +186,8 @@ impl History {
             cues: Vec::new(),
             lanes,
             closest: None,
+            bodies: Vec::new(),
+            budgets: Vec::new(),
             waits: String::new(),
         }
     }
@@ -198,6 +203,31 @@ impl History {
                 let points = values.iter().map(|(at, value)| (epoch.millis(*at), *value));
                 let series = columns.series(&points.collect());
                 all.push(DeviceSeries { robot: place, device, act: None, series });
+            }
+        }
+        all
+    }
+
+    /// The late steps that robots reported while they played. A step is not due before its script, and not after the report.
+    fn late(&self, places: &Places, epoch: Epoch) -> Vec<Late> {
+        let mut all = Vec::new();
+        for (_, promise) in self.promises() {
+            for script in &promise.scripts {
+                let robot = self.robots.iter().find(|known| known.id == script.robot);
+                let late = robot.and_then(|known| known.late.get(script.request_id.as_str()));
+                let place = places.robot(&script.robot);
+                let device = place.and_then(|place| places.device(place, &script.device));
+                let (Some(late), Some((robot, device))) = (late, place.zip(device)) else { continue };
+                let begins = promise.start + script.start.span();
+                all.extend(late.grew.iter().map(|grew| Late {
+                    robot,
+                    device,
+                    act: promise.number,
+                    from: epoch.millis(grew.from.map_or(begins, |from| from.max(begins))),
+                    to: epoch.millis(grew.to),
+                    steps: grew.steps,
+                    most: grew.most.map(Span::as_millis_f64),
+                }));
             }
         }
         all

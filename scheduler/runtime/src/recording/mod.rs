@@ -88,6 +88,7 @@ enum TopicKind {
     Clock,
     Record,
     Progress,
+    Report,
 }
 
 impl TopicKind {
@@ -98,6 +99,7 @@ impl TopicKind {
             Self::Clock => "downbeat.Clock",
             Self::Record => "downbeat.Record",
             Self::Progress => "downbeat.Progress",
+            Self::Report => "downbeat.Report",
         }
     }
 
@@ -111,6 +113,7 @@ impl TopicKind {
                 "offset_ms": {"type": "number"}, "delay_ms": {"type": "number"}}}),
             Self::Record => json!({"type": "object", "properties": {"record": {"type": "string"}}}),
             Self::Progress => json!({"type": "object", "properties": {"progress": {"type": "string"}}}),
+            Self::Report => json!({"type": "object", "properties": {"robots": {"type": "array"}}}),
         }
     }
 }
@@ -247,6 +250,11 @@ impl Recording {
     /// Records a progress report to the operator.
     pub fn progress(&mut self, at: Timestamp<Server>, progress: &Progress) {
         self.put("/mission/progress", TopicKind::Progress, at, at, progress);
+    }
+
+    /// Records the report of the mission that ends, in the form of `--format json`.
+    pub fn report(&mut self, at: Timestamp<Server>, report: &Value) {
+        self.put("/mission/report", TopicKind::Report, at, at, report);
     }
 
     fn put(
