@@ -88,7 +88,8 @@ impl DmxFixture {
     /// # Errors
     /// [`DriverError::Refused`] if the channels do not fit the devices or the universe.
     pub fn new(address: DmxAddress, block: &InitializationBlock) -> Result<Self, DriverError> {
-        let patch = Patch::of(block, address.channel).map_err(DriverError::Refused)?;
+        let patch =
+            Patch::of(block, address.channel).map_err(|error| DriverError::Refused(error.to_string()))?;
         Ok(Self { robot: block.id.clone(), address, patch, lease: None })
     }
 
