@@ -2,6 +2,7 @@
 //!
 //! All robots of this process on the same universe share one [`Universe`], because receivers take each frame as the state of all channels.
 
+mod heard;
 mod patch;
 mod transport;
 mod universe;
@@ -10,6 +11,7 @@ use std::time::Duration;
 
 use urrcp::{DeviceId, InitializationBlock, RobotId, Setpoint};
 
+pub use self::heard::{ArtNetNode, SacnSource, hear_sacn, poll_art_net};
 use self::patch::Patch;
 pub use self::transport::Protocol;
 use self::universe::{Lease, Universe};
