@@ -1,16 +1,23 @@
 //! Plans acts that move devices from the positions at which they stopped to their default positions or to other positions.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
-use urrcp::{DeviceId, Interpolation, RobotId, Span};
+use urrcp::{ControlType, Device, DeviceId, Interpolation, RobotId, Span};
 
 use crate::compile::poses::{self, DeviceWay, settable, unused_name};
 use crate::finding::Finding;
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, FleetRobot, devices_of, settable_limits};
 use crate::motion::Easing;
 use crate::plan::{Act, Choreography, FailurePolicy, OnFailure, Positions};
 
 const NAME: &str = "home";
+const JOG: &str = "jog";
+/// The shortest duration of an act of [`plan_jog`].
+const JOG_SHORTEST: Span = Span::from_millis(200);
+/// Share of a device's largest speed that an act of [`plan_jog`] uses.
+const JOG_SHARE: f64 = 0.5;
+/// Time in seconds for a movement through the whole range of a device whose largest speed is unknown, in an act of [`plan_jog`].
+const JOG_RANGE_S: f64 = 10.0;
 /// The shortest duration of a planned act.
 const SHORTEST: Span = Span::from_millis(1_000);
 /// The shortest duration of a planned act that linearly moves a device whose largest speed is unknown.
@@ -52,20 +59,74 @@ pub(crate) fn transfer(
     from: &Positions,
 ) -> Result<Option<Act>, Vec<Finding>> {
     let Some(like) = choreography.acts.get(like).filter(|_| !ways.is_empty()) else { return Ok(None) };
-    let mut over = shortest(choreography, &ways, fleet);
-    let standing = poses::standing(fleet, from);
-    let mut act = poses::compiled(name, &ways, &standing, over);
+    let over = shortest(choreography, &ways, fleet);
+    let mut act = within_limits(name, &ways, &poses::standing(fleet, from), over)?;
+    let name = unused_name(name, &choreography.acts);
+    poses::name_like(&mut act, name, &choreography.scenario, like);
+    Ok(Some(act))
+}
+
+/// Compiles an act that makes the movements `ways` in the duration `over`, or in a longer one if the devices need it.
+fn within_limits(
+    name: &str,
+    ways: &[DeviceWay<'_>],
+    standing: &Fleet,
+    mut over: Span,
+) -> Result<Act, Vec<Finding>> {
+    let mut act = poses::compiled(name, ways, standing, over);
     for _ in 0..DOUBLED_MAX {
         if act.is_ok() {
             break;
         }
         over = over * 2;
-        act = poses::compiled(name, &ways, &standing, over);
+        act = poses::compiled(name, ways, standing, over);
     }
-    let mut act = act?;
-    let name = unused_name(name, &choreography.acts);
-    poses::name_like(&mut act, name, &choreography.scenario, like);
-    Ok(Some(act))
+    act
+}
+
+/// Plans an act that moves devices of one robot from the positions `from` to the positions `to`, for a person who moves them one by one.
+/// The act is compiled like any other: within the limits of the devices and, as far as bodies are known, without collisions. It lasts at
+/// least 200 ms. No device moves at more than half of its largest speed. If that speed is unknown, moving through the whole range takes
+/// 10 s.
+///
+/// Returns `None` if no device has to move.
+///
+/// # Errors
+/// Returns the errors in the planned act, for example a position that the device cannot take.
+pub fn plan_jog(
+    fleet: &Fleet,
+    robot: &RobotId,
+    from: &BTreeMap<DeviceId, f64>,
+    to: &BTreeMap<DeviceId, f64>,
+) -> Result<Option<Act>, Vec<Finding>> {
+    let Some(listed) = fleet.robots.iter().find(|listed| listed.id == *robot) else { return Ok(None) };
+    let (mut ways, mut over) = (Vec::new(), JOG_SHORTEST);
+    for device in devices_of(listed) {
+        let (Some(&from), Some(&to)) = (from.get(&device.id), to.get(&device.id)) else { continue };
+        let from = settable(device, from);
+        if from != to {
+            over = over.max(jog_time(listed, device, (to - from).abs()));
+            ways.push(DeviceWay { robot, device: &device.id, from, to });
+        }
+    }
+    if ways.is_empty() {
+        return Ok(None);
+    }
+    let standing = poses::standing(fleet, &[(robot.clone(), from.clone())].into());
+    within_limits(JOG, &ways, &standing, over).map(Some)
+}
+
+/// Returns how long a device takes to move by `way` at a speed for [`plan_jog`].
+fn jog_time(robot: &FleetRobot, device: &Device, way: f64) -> Span {
+    let rates = robot.limits.get(device.id.as_str()).copied().unwrap_or_default();
+    let seconds = match rates.or_declared(device, ControlType::Position).speed {
+        Some(speed) => Easing::Smooth.slope_max() * way / (speed * JOG_SHARE) * (1.0 + SLACK),
+        None => {
+            let limits = settable_limits(device, ControlType::Position);
+            limits.map_or(0.0, |limits| way / (limits.max_value - limits.min_value) * JOG_RANGE_S)
+        }
+    };
+    Span::from_millis_f64(seconds * 1_000.0)
 }
 
 /// Returns the shortest duration within which all movements are possible at the largest speeds of their devices.
@@ -159,6 +220,28 @@ acts:
         // 1.875 * 150 / 60 = 4.6875 s, plus 2 %.
         let lasts = scripts.iter().map(|script| script.script.duration()).max().unwrap();
         assert_eq!(lasts.as_millis_f64().round(), 4_781.0);
+    }
+
+    #[test]
+    fn jog_moves_at_half_speed_to_positions_that_the_device_can_take() {
+        let (_, fleet) = show();
+        let positions =
+            |devices: &[(&str, f64)]| devices.iter().map(|(id, at)| (id.parse().unwrap(), *at)).collect();
+        let arm = "arm".parse().unwrap();
+        let jog = |to: &[(&str, f64)]| {
+            plan_jog(&fleet, &arm, &positions(&[("joint", 10.0), ("lamp", 5.0)]), &positions(to))
+        };
+        let act = jog(&[("joint", 40.0), ("still", 3.0)]).unwrap().unwrap();
+        let [script] = act.plan.robots[0].scripts.as_slice() else {
+            panic!("the place of `still` is unknown")
+        };
+        let steps = script.script.steps();
+        assert_eq!((steps[0].setpoint.value, steps[steps.len() - 1].setpoint.value), (10.0, 40.0));
+        // 1.875 * 30 / 30 s, plus 2 %.
+        assert_eq!(script.script.duration().as_millis_f64().round(), 1_913.0);
+        assert!(jog(&[("joint", 10.0)]).unwrap().is_none());
+        let findings = jog(&[("joint", 181.0)]).unwrap_err();
+        assert_eq!(findings[0].code, Code::OutOfRange, "{findings:?}");
     }
 
     /// Plans the act that moves the arm home from 80 degrees. Another robot, whose joint has no default position, has stopped at 40

@@ -27,6 +27,7 @@ mod compile;
 mod ensemble;
 mod home;
 mod inventory;
+mod pose_file;
 mod scenario;
 mod schema;
 
@@ -52,7 +53,7 @@ pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
     SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
-    read_fleet_to_measure, read_fleet_within, read_latency_file,
+    read_fleet_to_measure, read_fleet_within, read_latency_file, settable_limits,
 };
 pub use downbeat_fleet::init::{init_of, init_text, read_init};
 pub use downbeat_fleet::sensor_range::SensorRange;
@@ -83,8 +84,9 @@ pub use downbeat_yaml::refusal::{Attempt, Refusal};
 pub use downbeat_yaml::render::render;
 pub use downbeat_yaml::sarif::sarif;
 pub use downbeat_yaml::source::Source;
-pub use home::plan_home;
+pub use home::{plan_home, plan_jog};
 pub use inventory::{Offer, Parameter, inventory};
+pub use pose_file::{PoseDevice, PoseFileError, with_pose};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, all_maps, schema};
 

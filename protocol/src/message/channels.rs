@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Number of channels in a DMX universe.
-const CHANNELS_MAX: u16 = 512;
+pub const CHANNELS_PER_UNIVERSE: u16 = 512;
 /// Maximum number of values of a device that have channels.
 const VALUES_MAX: usize = 256;
 
@@ -47,7 +47,7 @@ impl TryFrom<Vec<Vec<u16>>> for Channels {
     type Error = &'static str;
 
     fn try_from(values: Vec<Vec<u16>>) -> Result<Self, Self::Error> {
-        let is_channel = |channel: &u16| (1..=CHANNELS_MAX).contains(channel);
+        let is_channel = |channel: &u16| (1..=CHANNELS_PER_UNIVERSE).contains(channel);
         let is_value = |value: &Vec<u16>| (1..=2).contains(&value.len()) && value.iter().all(is_channel);
         if !(1..=VALUES_MAX).contains(&values.len()) || !values.iter().all(is_value) {
             return Err(EXPECTED);
@@ -117,7 +117,7 @@ impl schemars::JsonSchema for Channels {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        let channel = serde_json::json!({"type": "integer", "minimum": 1, "maximum": CHANNELS_MAX});
+        let channel = serde_json::json!({"type": "integer", "minimum": 1, "maximum": CHANNELS_PER_UNIVERSE});
         schemars::json_schema!({
             "anyOf": [
                 channel,

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::object;
 
 pub use availability::{AvailabilityRequest, AvailabilityResponse, RevocationList};
-pub use channels::Channels;
+pub use channels::{CHANNELS_PER_UNIVERSE, Channels};
 pub(crate) use control_request::OfUnknownType;
 pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};

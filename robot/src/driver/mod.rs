@@ -32,7 +32,10 @@ use std::time::Duration;
 use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 
 #[cfg(feature = "dmx")]
-pub use self::dmx::{AtEnd, DmxAddress, DmxFixture, FRAMES_PER_SECOND, PRIORITY, Protocol as DmxProtocol};
+pub use self::dmx::{
+    ArtNetNode, AtEnd, DmxAddress, DmxFixture, FRAMES_PER_SECOND, PRIORITY, Protocol as DmxProtocol,
+    SacnSource, hear_sacn, poll_art_net,
+};
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox, Sampled};
 #[cfg(feature = "osc")]

@@ -1,13 +1,13 @@
 //! A dialogue with one robot during a session: over one link, with one request at a time.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use downbeat_onset::Reading;
 use downbeat_scripts::{ClockMode, FleetRobot};
 use tokio::sync::mpsc;
 use urrcp::{
-    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
-    InitializationBlock, InitializationRequest, Message, Millis, RequestId, Robot, Script, Server, Span,
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, Device, DeviceId, ErrorCode,
+    InitializationBlock, InitializationRequest, Inquiry, Message, Millis, RequestId, Robot, Script, Server, Span,
     Status, StatusValue, StopCondition, Timestamp,
 };
 
@@ -103,6 +103,10 @@ pub struct RobotDialogue {
     asked: u64,
     /// Reports about movements that arrived while the dialogue waited for another message.
     reports: VecDeque<ControlResponse>,
+    /// The ids of the robot's devices whose description differs from the init file.
+    different: Vec<DeviceId>,
+    /// Whether the robot answers inquiries.
+    takes_inquiries: bool,
 }
 
 /// Maximum number of consecutive readings that may be missed.
@@ -134,9 +138,13 @@ impl RobotDialogue {
             patience,
             asked: 0,
             reports: VecDeque::new(),
+            different: Vec::new(),
+            takes_inquiries: false,
         };
         let block = talk.block().await?;
         check_identity(robot, &block)?;
+        talk.different = different(robot, &block);
+        talk.takes_inquiries = block.inquiry;
         for _ in 0..EXCHANGES {
             talk.ping().await?;
         }
@@ -347,6 +355,51 @@ impl RobotDialogue {
         }
     }
 
+    /// Asks for the commanded positions of devices. Devices whose position the robot does not know have no entry, nor have those of robots
+    /// that do not answer inquiries.
+    ///
+    /// # Errors
+    /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
+    pub async fn positions(
+        &mut self,
+        devices: &[DeviceId],
+    ) -> Result<BTreeMap<DeviceId, f64>, DialogueError> {
+        if !self.takes_inquiries {
+            return Ok(BTreeMap::new());
+        }
+        let sent = self.now();
+        let session = Some(self.session.on_the_wire().clone());
+        let devices = devices.to_vec();
+        self.say(Message::Inquiry(Inquiry {
+            timestamp: Some(sent),
+            session,
+            devices,
+            ..Inquiry::default()
+        }))?;
+        let until = sent + self.patience;
+        while let Some((_, event)) = self.next(until).await? {
+            match event {
+                Event::Received { message: Message::InquiryResponse(response), .. }
+                    if response.originate_timestamp == Some(sent) =>
+                {
+                    available(response.status, response.error.as_ref())?;
+                    let known = response.devices.into_iter();
+                    return Ok(known
+                        .filter_map(|report| Some((report.device_id, report.position?)))
+                        .collect());
+                }
+                other => self.keep(other),
+            }
+        }
+        Err(DialogueError::Silent(self.patience))
+    }
+
+    /// Whether the robot describes the device as its init file does.
+    #[must_use]
+    pub fn is_as_described(&self, device: &DeviceId) -> bool {
+        !self.different.contains(device)
+    }
+
     /// Checks whether the robot has reported that a movement failed.
     ///
     /// # Errors
@@ -359,7 +412,7 @@ impl RobotDialogue {
         let reason = failed.map(|report| {
             report.error.as_ref().map_or_else(|| "no reason given".to_owned(), ToString::to_string)
         });
-        self.reports.clear();
+        self.reports.retain(|report| report.request_id.as_ref() != request);
         match reason {
             Some(reason) => Err(DialogueError::Failed { device: device.clone(), reason }),
             None => Ok(()),
@@ -406,6 +459,14 @@ fn refusal(error: Option<&urrcp::ControlError>) -> DialogueError {
         Some(error) => DialogueError::Refused(error.to_string()),
         None => DialogueError::Refused("no reason given".to_owned()),
     }
+}
+
+/// Returns the devices of the init file that the robot itself describes differently, or does not have.
+fn different(robot: &FleetRobot, block: &InitializationBlock) -> Vec<DeviceId> {
+    let own = |device: &Device| block.device(device.id.as_str()).map(|own| &own.available_control_types);
+    let devices = robot.init.iter().flat_map(|init| init.devices.iter());
+    let different = devices.filter(|device| own(device) != Some(&device.available_control_types));
+    different.map(|device| device.id.clone()).collect()
 }
 
 /// Returns an error if a different robot answers, or if the robot's devices differ from the init file.

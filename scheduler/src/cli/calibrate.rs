@@ -197,25 +197,25 @@ fn kept(path: &Path) -> Result<LatencyFile, Exit> {
 
 /// Returns the path of the temporary file to which the new contents are written. The file is then renamed to `path`, so that nobody reads
 /// an incomplete file.
-fn part_of(path: &Path) -> PathBuf {
+pub(super) fn part_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     path.with_file_name(name)
 }
 
-fn refused(path: &Path, error: &std::io::Error) -> String {
+pub(super) fn refused(path: &Path, error: &std::io::Error) -> String {
     format!("cannot write {}: {}", path.display(), Refusal::of(Attempt::Write(path), error))
 }
 
 /// Checks, before anything moves, that the latency file can be written.
-fn writable(path: &Path) -> Result<(), String> {
+pub(super) fn writable(path: &Path) -> Result<(), String> {
     let part = part_of(path);
     let tried = std::fs::write(&part, "").and_then(|()| std::fs::remove_file(&part));
     tried.map_err(|error| refused(path, &error))
 }
 
 /// Asks on the terminal whether devices may be moved. Returns `None` if there is no terminal.
-fn confirmed() -> Option<bool> {
+pub(super) fn confirmed() -> Option<bool> {
     if !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
         return None;
     }
@@ -247,7 +247,7 @@ async fn all(
             _ = signals.next() => return Ok((Vec::new(), Exit::Stopped)),
         }
     }
-    let session = session()?;
+    let session = session("calibrate")?;
     let (mut outcomes, mut exit) = (Vec::new(), Exit::Done);
     for (planned, endpoint) in robots.iter().zip(endpoints) {
         let ended = one(planned, endpoint, &session, args, format, &mut signals, &mut outcomes).await;
@@ -265,8 +265,9 @@ async fn all(
     Ok((outcomes, exit))
 }
 
-fn session() -> Result<Session, String> {
-    let name = format!("calibrate@{}", std::process::id());
+/// Returns a session of its own for a command that moves robots.
+pub(super) fn session(command: &str) -> Result<Session, String> {
+    let name = format!("{command}@{}", std::process::id());
     let name = SessionId::new(name).map_err(|error| error.to_string())?;
     let key = SessionKey::random().map_err(|error| error.to_string())?;
     Session::with_key(name, &key).map_err(|error| error.to_string())

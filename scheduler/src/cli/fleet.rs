@@ -247,15 +247,20 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
 fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, String> {
     let mut told = Err("no answer".to_owned());
     super::with_runtime(async {
-        let clock = ServerClock::anchored(Span::ZERO);
-        let (events, happened) = mpsc::channel(64);
-        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
-        let answer = ask(unnamed(), None, link, happened, clock, patience).await;
-        let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
-        told = answer.block.ok_or(problem);
+        told = description(endpoint, patience).await;
         Exit::Done
     });
     told
+}
+
+/// Asks the robot at an endpoint for its description. Returns the reason if there is none.
+pub(super) async fn description(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, String> {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let (events, happened) = mpsc::channel(64);
+    let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
+    let answer = ask(unnamed(), None, link, happened, clock, patience).await;
+    let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
+    answer.block.ok_or(problem)
 }
 
 #[expect(clippy::expect_used, reason = "a constant, read by every test of this command")]

@@ -16,6 +16,7 @@ mod conformance;
 mod console;
 mod detach;
 mod diff;
+mod discover;
 #[cfg(test)]
 mod documented;
 mod drivers;
@@ -29,6 +30,7 @@ mod graph;
 mod identity;
 mod import;
 mod init;
+mod jog;
 mod keys;
 mod listen;
 mod live;
@@ -148,6 +150,10 @@ enum Command {
     World(world::WorldArgs),
     /// Measure how long devices take from a command to visible motion.
     Calibrate(calibrate::CalibrateArgs),
+    /// Move the devices of a robot by hand, within their limits, and save poses for scenarios.
+    Jog(jog::JogArgs),
+    /// List robots, lights and other hardware that answer on this network.
+    Discover(discover::DiscoverArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -279,6 +285,8 @@ pub fn main() -> ExitCode {
         Command::Diff(args) => diff::diff(&args, format),
         Command::World(args) => world::world(&args, format),
         Command::Calibrate(args) => calibrate::calibrate(&args, format),
+        Command::Jog(args) => jog::jog(&args, format),
+        Command::Discover(args) => discover::discover(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

@@ -6,7 +6,7 @@ use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
-pub use driven::{DmxAddress, DmxProtocol, OscAddress};
+pub use driven::{DEFAULT_PRIORITY, DmxAddress, DmxProtocol, OscAddress};
 use urrcp::RobotId;
 
 /// The address of a robot.

@@ -37,6 +37,7 @@ mod latency;
 mod mission_settings;
 mod moves;
 mod sensors;
+mod universes;
 mod urdf;
 
 use crate::init::DeviceKeys;
@@ -456,6 +457,7 @@ impl FleetReader<'_> {
         }
         apart::one_place_each(&mut self.findings, &robots, &fleet.robots);
         apart::none_crowded(&mut self.findings, &robots, &fleet.robots);
+        universes::one_user_each(&mut self.findings, &robots, &fleet.robots);
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
             self.findings.add(
                 Code::NothingToDo,

@@ -136,6 +136,7 @@ codes! {
     UnknownPath = "DB0079", Error, "no path of this name";
     CrowdedPlace = "DB0080", Warning, "too many robots under one key prefix of a Zenoh network";
     IgnoredKey = "DB0081", Warning, "an ignored key in the description of a robot";
+    Channels = "DB0082", Error, "fixtures that do not fit into their universe";
 }
 
 impl Code {

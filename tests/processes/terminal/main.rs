@@ -3,5 +3,7 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod commands;
+mod discover;
 mod display;
+mod jog;
 mod output;

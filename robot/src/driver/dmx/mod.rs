@@ -2,6 +2,7 @@
 //!
 //! All robots of this process on the same universe share one [`Universe`], because receivers take each frame as the state of all channels.
 
+mod heard;
 mod patch;
 mod transport;
 mod universe;
@@ -10,6 +11,7 @@ use std::time::Duration;
 
 use urrcp::{DeviceId, InitializationBlock, RobotId, Setpoint};
 
+pub use self::heard::{ArtNetNode, SacnSource, hear_sacn, poll_art_net};
 use self::patch::Patch;
 pub use self::transport::Protocol;
 use self::universe::{Lease, Universe};
@@ -88,7 +90,8 @@ impl DmxFixture {
     /// # Errors
     /// [`DriverError::Refused`] if the channels do not fit the devices or the universe.
     pub fn new(address: DmxAddress, block: &InitializationBlock) -> Result<Self, DriverError> {
-        let patch = Patch::of(block, address.channel).map_err(DriverError::Refused)?;
+        let patch =
+            Patch::of(block, address.channel).map_err(|error| DriverError::Refused(error.to_string()))?;
         Ok(Self { robot: block.id.clone(), address, patch, lease: None })
     }
 

@@ -2,14 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use urrcp::{
-    Channels, ControlParameters, ControlType, Device, DeviceId, InitializationBlock, Limits, Setpoint,
-};
-
-/// Number of channels in a universe.
-pub(super) const CHANNELS: u16 = 512;
-/// Range of each value of a `custom_N` if the device's scripts declare none.
-const CUSTOM_RANGE: (f64, f64) = (0.0, 255.0);
+use urrcp::{ControlType, DeviceId, InitializationBlock, PatchError, Patched, Setpoint};
 
 /// One value of a device in a universe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,11 +23,11 @@ pub(super) struct Level {
 /// The slots of all devices of a fixture.
 #[derive(Clone, Debug)]
 pub(super) struct Patch {
-    devices: BTreeMap<DeviceId, Patched>,
+    devices: BTreeMap<DeviceId, DeviceSlots>,
 }
 
 #[derive(Clone, Debug)]
-struct Patched {
+struct DeviceSlots {
     control_type: ControlType,
     range: (f64, f64),
     slots: Vec<Slot>,
@@ -43,44 +36,17 @@ struct Patched {
 
 impl Patch {
     /// Returns the patch of the fixture whose first channel is `first`, 1 to 512.
-    pub(super) fn of(block: &InitializationBlock, first: u16) -> Result<Self, String> {
-        let mut devices = BTreeMap::new();
-        let mut users: BTreeMap<u16, &DeviceId> = BTreeMap::new();
-        let mut next = 1;
-        for device in block.devices.iter() {
-            let Driven { control_type, range, count } = driven(device)?;
-            let values = match &device.channel {
-                Some(channels) => channels_of(device, channels, count)?,
-                None => (next..).take(count.unwrap_or(1)).map(|channel| vec![channel]).collect(),
-            };
-            let mut slots = Vec::new();
-            for channels in &values {
-                for channel in channels {
-                    let last = u32::from(first) + u32::from(*channel) - 1;
-                    if last > u32::from(CHANNELS) {
-                        return Err(format!(
-                            "channel {channel} of `{}` is channel {last} of the universe, expected at most {CHANNELS}",
-                            device.id
-                        ));
-                    }
-                    if let Some(other) = users.insert(*channel, &device.id) {
-                        return Err(format!(
-                            "`{other}` and `{}` both use channel {channel} of the fixture",
-                            device.id
-                        ));
-                    }
-                    next = next.max(channel + 1);
-                }
-                let index = |channel: &u16| first - 1 + channel - 1;
-                let (Some(coarse), fine) = (channels.first().map(index), channels.get(1).map(index)) else {
-                    continue;
-                };
-                slots.push(Slot { coarse, fine });
-            }
-            let patched = Patched { control_type, range, slots, default: device.default_value };
-            devices.insert(device.id.clone(), patched);
-        }
-        Ok(Self { devices })
+    pub(super) fn of(block: &InitializationBlock, first: u16) -> Result<Self, PatchError> {
+        let slot = |channels: Vec<u16>| {
+            let index = |channel: &u16| channel - 1;
+            let fine = channels.get(1).map(index);
+            channels.first().map(index).map(|coarse| Slot { coarse, fine })
+        };
+        let patched = |Patched { device, control_type, range, values, .. }: Patched<'_>| {
+            let slots = values.into_iter().filter_map(slot).collect();
+            (device.id.clone(), DeviceSlots { control_type, range, slots, default: device.default_value })
+        };
+        Ok(Self { devices: urrcp::patch(block, first)?.into_iter().map(patched).collect() })
     }
 
     /// Returns the indices of all channels of the fixture, from 0.
@@ -91,7 +57,7 @@ impl Patch {
 
     /// Returns the levels of the default values. Devices without a default value are at zero, or at the limit closest to zero.
     pub(super) fn defaults(&self) -> Vec<Level> {
-        let of_device = |patched: &Patched| {
+        let of_device = |patched: &DeviceSlots| {
             let value = patched.default.unwrap_or(0.0);
             let level = level(value, patched.range);
             patched.slots.iter().map(|slot| Level { slot: *slot, level }).collect::<Vec<_>>()
@@ -121,51 +87,6 @@ impl Patch {
 /// Returns the share of a value in its range, 0 to 1.
 fn level(value: f64, (min, max): (f64, f64)) -> f64 {
     if max > min { ((value - min) / (max - min)).clamp(0.0, 1.0) } else { 0.0 }
-}
-
-/// How a device is driven.
-struct Driven {
-    control_type: ControlType,
-    range: (f64, f64),
-    /// Number of values. `None`: as many as the device has channels.
-    count: Option<usize>,
-}
-
-/// Returns how a device is driven. It must have only one control type.
-fn driven(device: &Device) -> Result<Driven, String> {
-    let types = &device.available_control_types;
-    let mut driven = types.iter().filter(|(control_type, _)| *control_type != ControlType::Script);
-    let (Some((control_type, parameters)), None) = (driven.next(), driven.next()) else {
-        let found: Vec<String> = types.iter().map(|(control_type, _)| control_type.to_string()).collect();
-        return Err(format!(
-            "a DMX channel takes one kind of value: `{}` has {}, expected `script` and one of position, speed and custom_N",
-            device.id,
-            found.join(", ")
-        ));
-    };
-    let range = |limits: &Limits| (limits.min_value, limits.max_value);
-    match parameters {
-        ControlParameters::Motion(limits) => {
-            Ok(Driven { control_type, range: range(limits), count: Some(1) })
-        }
-        ControlParameters::Custom(parameters) => {
-            let count = parameters.get("values").and_then(serde_json::Value::as_u64);
-            let range = types.script().map_or(CUSTOM_RANGE, |script| range(&script.limits));
-            let count = count.and_then(|count| usize::try_from(count).ok());
-            Ok(Driven { control_type, range, count })
-        }
-        _ => Err(format!("`{}` is a sensor, and DMX fixtures cannot be read", device.id)),
-    }
-}
-
-fn channels_of(device: &Device, channels: &Channels, count: Option<usize>) -> Result<Vec<Vec<u16>>, String> {
-    let count = count.unwrap_or_else(|| channels.count());
-    channels.of_values(count).ok_or_else(|| {
-        let one = "one channel, or a coarse and a fine one".to_owned();
-        let expected =
-            if count == 1 { one } else { format!("{count} channels or pairs, one for each value") };
-        format!("`channel` of `{}` does not fit its values, expected {expected}", device.id)
-    })
 }
 
 #[cfg(test)]
@@ -220,22 +141,5 @@ mod tests {
         let dimmer = r#"{"id": "dimmer", "default_value": 25, "available_control_types": {"position": {"min_value": 0, "max_value": 100, "granularity": 1}}}"#;
         let patch = Patch::of(&block(dimmer), 1).unwrap();
         assert_eq!(patch.defaults(), [Level { slot: coarse(0), level: 0.25 }]);
-    }
-
-    #[test]
-    fn impossible_patches_are_refused() {
-        let refused = |devices: String, first: u16| Patch::of(&block(&devices), first).unwrap_err();
-        let one = |channel: &str| device("pan", channel, 0.0, 1.0);
-        let beyond = refused(one(r#", "channel": [5, 6]"#), 508);
-        assert_eq!(beyond, "channel 6 of `pan` is channel 513 of the universe, expected at most 512");
-        let shared = format!("{},{}", one(r#", "channel": 3"#), color(r#", "channel": [1, 2, 3]"#));
-        assert_eq!(refused(shared, 1), "`pan` and `color` both use channel 3 of the fixture");
-        let wide = refused(one(r#", "channel": [1, 2, 3]"#), 1);
-        assert!(wide.ends_with("expected one channel, or a coarse and a fine one"), "{wide}");
-        let few = refused(color(r#", "channel": [1, 2]"#), 1);
-        assert!(few.ends_with("expected 3 channels or pairs, one for each value"), "{few}");
-        let sensor =
-            r#"{"id": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 1}}}"#;
-        assert!(refused(sensor.to_owned(), 1).contains("cannot be read"));
     }
 }

@@ -24,7 +24,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    const fn port(self) -> u16 {
+    pub(super) const fn port(self) -> u16 {
         match self {
             Self::Sacn => 5568,
             Self::ArtNet => 6454,
@@ -44,7 +44,7 @@ impl Protocol {
 /// Name of the source in lists of lighting consoles.
 const SOURCE: &str = "Downbeat";
 /// The universe to which sources send the lists of their universes.
-const DISCOVERY_UNIVERSE: u16 = 64_214;
+pub(super) const DISCOVERY_UNIVERSE: u16 = 64_214;
 
 /// Sends the frames of one universe.
 #[derive(Debug)]
@@ -76,7 +76,7 @@ pub(super) fn destination(address: &DmxAddress) -> io::Result<SocketAddr> {
 }
 
 /// Returns the multicast address of an sACN universe (ANSI E1.31, 9.3.1).
-fn multicast(universe: u16) -> IpAddr {
+pub(super) fn multicast(universe: u16) -> IpAddr {
     let [high, low] = universe.to_be_bytes();
     Ipv4Addr::new(239, 255, high, low).into()
 }

@@ -7,9 +7,9 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use urrcp::RobotId;
+use urrcp::{CHANNELS_PER_UNIVERSE, RobotId};
 
-use super::patch::{CHANNELS, Level, Slot};
+use super::patch::{Level, Slot};
 use super::transport::{Transport, destination};
 use super::{AtEnd, DmxAddress, FRAMES_PER_SECOND, Protocol};
 
@@ -317,7 +317,7 @@ impl State {
 
     /// Returns the values of the channels, up to the last one that a fixture uses.
     fn frame(&self, now: Instant) -> Vec<u8> {
-        let mut frame = [0; CHANNELS as usize];
+        let mut frame = [0; CHANNELS_PER_UNIVERSE as usize];
         let mut length = 0;
         for (slot, channel) in &self.channels {
             let level = channel.level_at(now);

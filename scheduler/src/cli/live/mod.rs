@@ -9,19 +9,21 @@ mod keys;
 mod lines;
 mod model;
 mod painter;
-mod terminal;
+pub(super) mod terminal;
 #[cfg(test)]
 mod tests;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use downbeat_scripts::Choreography;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
 use urrcp::{RobotId, Server, Timestamp};
 
 use self::frame::{Frame, Help};
 pub(super) use self::keys::Speaker;
 use self::model::Model;
-use self::painter::{Colours, Painter};
+pub(super) use self::painter::{Colours, Painter};
 use super::{Format, console};
 use crate::mission::Progress;
 use crate::server_clock::ServerClock;
@@ -35,6 +37,9 @@ struct Scene {
     shown: Shown,
 }
 
+/// Number of printed lines above the frame that stay visible.
+const ABOVE: u16 = 4;
+
 /// Whether the display is currently on the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
@@ -43,8 +48,13 @@ enum Shown {
 }
 
 impl Scene {
-    fn frame(&self, columns: u16, rows: u16) -> Frame {
-        Frame::of(&self.model, self.clock.now(), self.help, columns, rows)
+    fn picture(&self, columns: u16, rows: u16) -> Buffer {
+        let room = rows.saturating_sub(ABOVE).max(4);
+        let frame = Frame::of(&self.model, self.clock.now(), self.help, columns, room);
+        let area = Rect::new(0, 0, columns, frame.height().min(rows.saturating_sub(1)).max(1));
+        let mut buffer = Buffer::empty(area);
+        frame.draw(area, &mut buffer);
+        buffer
     }
 }
 
@@ -112,6 +122,8 @@ impl Drop for Live {
 }
 
 fn show(scene: &Arc<Mutex<Scene>>) {
-    let colours = if console::stderr_has_colour() { Colours::On } else { Colours::Off };
-    console::begin_display(Box::new(Painter::new(Arc::clone(scene), colours)));
+    let scene = Arc::clone(scene);
+    let picture =
+        move |columns, rows| scene.lock().unwrap_or_else(PoisonError::into_inner).picture(columns, rows);
+    console::begin_display(Box::new(Painter::new(Box::new(picture), Colours::of_stderr())));
 }

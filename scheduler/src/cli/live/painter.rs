@@ -1,20 +1,15 @@
 //! Draws frames below the printed lines of a terminal. It draws only changes, and moves the cursor relative to the frame's first line.
 //! Even if other programs write to the terminal, or if the terminal is resized, removing the frame erases only the frame.
 
-use std::sync::{Arc, Mutex, PoisonError};
-
 use ratatui::buffer::{Buffer, Cell};
-use ratatui::layout::Rect;
 use ratatui::style::{Color, Modifier};
 
-use super::frame::Frame;
-use super::{Scene, terminal};
+use super::terminal;
+use crate::cli::console;
 use crate::cli::outlet::Display;
 
 /// Minimum width of the display in columns. Narrower terminals show only lines.
 pub(super) const COLUMNS_MIN: u16 = 60;
-/// Number of printed lines above the frame that stay visible.
-const ABOVE: u16 = 4;
 
 /// Escape sequence that erases the cursor's line and everything below, and keeps the cursor in that line. It first erases the line, and
 /// then the rest from the second column: if a screen is erased from its very first cell, tmux keeps the erased screen in the scrollback.
@@ -22,21 +17,31 @@ const ERASE: &str = "\r\x1b[K\x1b[C\x1b[J\r";
 
 /// Whether frames are drawn in colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Colours {
+pub(in crate::cli) enum Colours {
     On,
     Off,
 }
 
-pub(super) struct Painter {
-    scene: Arc<Mutex<Scene>>,
+impl Colours {
+    /// Returns the colours of standard error, to which frames are written.
+    pub(in crate::cli) fn of_stderr() -> Self {
+        if console::stderr_has_colour() { Self::On } else { Self::Off }
+    }
+}
+
+/// Draws the contents of a frame for a terminal with this many columns and rows. The frame may have fewer rows.
+pub(in crate::cli) type Picture = Box<dyn Fn(u16, u16) -> Buffer + Send>;
+
+pub(in crate::cli) struct Painter {
+    picture: Picture,
     colours: Colours,
     /// The frame on the screen; the cursor is at its first cell. `None` if no frame is on the screen.
     before: Option<Buffer>,
 }
 
 impl Painter {
-    pub(super) const fn new(scene: Arc<Mutex<Scene>>, colours: Colours) -> Self {
-        Self { scene, colours, before: None }
+    pub(in crate::cli) const fn new(picture: Picture, colours: Colours) -> Self {
+        Self { picture, colours, before: None }
     }
 }
 
@@ -52,20 +57,15 @@ impl Display for Painter {
         let Some((columns, rows)) = terminal::size().filter(|(columns, _)| *columns >= COLUMNS_MIN) else {
             return self.lift();
         };
-        let frame = {
-            let scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
-            // The last column stays free, because some terminals move the cursor to the next line after it.
-            scene.frame(columns - 1, rows.saturating_sub(ABOVE).max(4))
-        };
-        self.paint(&frame, columns - 1, rows)
+        // The last column stays free, because some terminals move the cursor to the next line after it.
+        let next = (self.picture)(columns - 1, rows);
+        self.paint(next)
     }
 }
 
 impl Painter {
-    fn paint(&mut self, frame: &Frame, columns: u16, rows: u16) -> Vec<u8> {
-        let area = Rect::new(0, 0, columns, frame.height().min(rows.saturating_sub(1)).max(1));
-        let mut next = Buffer::empty(area);
-        frame.draw(area, &mut next);
+    fn paint(&mut self, next: Buffer) -> Vec<u8> {
+        let area = next.area;
         let mut bytes = String::new();
         let before = match self.before.take() {
             Some(before) if before.area == area => before,
@@ -145,6 +145,8 @@ fn sequence(cell: &Cell) -> String {
 
 #[cfg(test)]
 mod tests {
+    use ratatui::layout::Rect;
+
     use super::*;
 
     /// Draws frames, with lines between them, on a cleared terminal.

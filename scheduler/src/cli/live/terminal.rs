@@ -25,7 +25,7 @@ pub(super) fn size() -> Option<(u16, u16)> {
 }
 
 /// Whether a display can be drawn: standard error is a terminal that can overwrite lines.
-pub(super) fn can_draw() -> bool {
+pub(in crate::cli) fn can_draw() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
     std::io::stderr().is_terminal()
         && !dumb
@@ -39,12 +39,12 @@ fn is_in_foreground() -> bool {
 }
 
 /// Whether standard input is a terminal, so that an operator may press keys.
-pub(super) fn has_keys() -> bool {
+pub(in crate::cli) fn has_keys() -> bool {
     std::io::stdin().is_terminal()
 }
 
 /// Switches the terminal to a mode in which each key arrives at once, without Enter and without an echo.
-pub(super) fn take_keys() {
+pub(in crate::cli) fn take_keys() {
     if !has_keys() || is_in_background() {
         return;
     }
@@ -76,7 +76,7 @@ fn is_in_background() -> bool {
 
 /// Restores the terminal's settings. Has no effect if this process did not change them, or if another program is in the foreground: the
 /// settings then belong to that program, and a background process that changes them is suspended.
-pub(super) fn restore() {
+pub(in crate::cli) fn restore() {
     let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(before) = before.filter(|_| !is_in_background()) {
         // The change applies immediately, because a blocked terminal never accepts the pending output.
@@ -85,7 +85,7 @@ pub(super) fn restore() {
 }
 
 /// Waits for the next keys and returns their bytes. Returns `None` once standard input has ended.
-pub(super) fn next_keys() -> Option<Vec<u8>> {
+pub(in crate::cli) fn next_keys() -> Option<Vec<u8>> {
     loop {
         let keyboard = stdin();
         let mut ready = [PollFd::new(&keyboard, PollFlags::IN)];

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use urrcp::CHANNELS_PER_UNIVERSE;
+
 /// A protocol that carries DMX512 over IP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DmxProtocol {
@@ -31,10 +33,10 @@ impl DmxProtocol {
     }
 }
 
-/// Largest number of a channel of a universe.
-const CHANNEL_MAX: u16 = 512;
 /// Largest priority of an sACN source.
 const PRIORITY_MAX: u8 = 200;
+/// The priority of an sACN source whose address states none.
+pub const DEFAULT_PRIORITY: u8 = 100;
 
 /// `sacn:UNIVERSE/CHANNEL` or `artnet:UNIVERSE/CHANNEL@HOST`: a fixture that this process drives.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,7 +62,7 @@ impl DmxAddress {
         let (universe, channel) = place.split_once('/')?;
         let (first, last) = protocol.universes();
         let universe = number(universe).filter(|universe| (first..=last).contains(universe))?;
-        let channel = number(channel).filter(|channel| (1..=CHANNEL_MAX).contains(channel))?;
+        let channel = number(channel).filter(|channel| (1..=CHANNELS_PER_UNIVERSE).contains(channel))?;
         let is_host = |host: &&str| !host.is_empty() && !host.contains(['/', '@', ' ']);
         // A frame of Art-Net is sent to a single receiver, or to a broadcast address that is named.
         if host.is_some_and(|host| !is_host(&host)) || (protocol == DmxProtocol::ArtNet && host.is_none()) {
@@ -79,6 +81,12 @@ impl DmxAddress {
             }
         }
         Some(Self { protocol, universe, channel, host, priority, blackout })
+    }
+
+    /// Returns a name of the universe. Fixtures with the same name share their frames.
+    pub(crate) fn universe_name(&self) -> String {
+        let host = self.host.as_deref().map(str::to_ascii_lowercase);
+        format!("{}:{}@{}", self.protocol.scheme(), self.universe, host.unwrap_or_default())
     }
 }
 
