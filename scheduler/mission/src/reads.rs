@@ -72,6 +72,7 @@ mod tests {
     use urrcp::{Server, Timestamp};
 
     use super::*;
+    use crate::ActNumber;
     use crate::bench::{at, response};
 
     fn name(name: &str) -> RequestId {
@@ -87,9 +88,9 @@ mod tests {
     fn owed() -> OwedReadings {
         let mut owed = OwedReadings::default();
         for (id, device, act) in [("0", "a", 0), ("1", "b", 1), ("2", "a", 2)] {
-            owed.ask(name(id), device.parse().unwrap(), Reading::Wait(act));
+            owed.ask(name(id), device.parse().unwrap(), Reading::Wait(ActNumber::new(act)));
         }
-        owed.forget(|what| *what == Reading::Wait(0));
+        owed.forget(|what| *what == Reading::Wait(ActNumber::new(0)));
         owed
     }
 
@@ -98,17 +99,20 @@ mod tests {
         let mut owed = owed();
         let mut answered = |device| owed.take_answered(&provides(device, None, Status::Provide));
         assert_eq!(answered("a"), None);
-        assert_eq!(answered("a"), Some(Reading::Wait(2)));
-        assert_eq!(answered("b"), Some(Reading::Wait(1)));
+        assert_eq!(answered("a"), Some(Reading::Wait(ActNumber::new(2))));
+        assert_eq!(answered("b"), Some(Reading::Wait(ActNumber::new(1))));
         assert_eq!(answered("b"), None);
     }
 
     #[test]
     fn response_with_id_belongs_to_that_reading() {
         let mut owed = owed();
-        assert_eq!(owed.take_answered(&provides("a", Some("2"), Status::Provide)), Some(Reading::Wait(2)));
+        assert_eq!(
+            owed.take_answered(&provides("a", Some("2"), Status::Provide)),
+            Some(Reading::Wait(ActNumber::new(2)))
+        );
         assert_eq!(owed.take_answered(&provides("a", Some("3"), Status::Provide)), None);
-        assert_eq!(owed.awaited().collect::<Vec<_>>(), [&Reading::Wait(1)]);
+        assert_eq!(owed.awaited().collect::<Vec<_>>(), [&Reading::Wait(ActNumber::new(1))]);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{Rest, SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
-use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
+use super::{ActNumber, Action, ClockMode, Mission, Phase, RobotIndex, StoppedBy, ledger};
 
 /// The minimum time that writing a durable record is assumed to take.
 const RECORDING: Span = Span::from_millis(30);
@@ -18,7 +18,7 @@ const RECORDING: Span = Span::from_millis(30);
 const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
-    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         if !self.is_expected_robot(now, robot, &message) {
             return;
         }
@@ -43,7 +43,7 @@ impl Mission {
         }
     }
 
-    fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
+    fn control_response(&mut self, now: Timestamp<Server>, robot: RobotIndex, response: &ControlResponse) {
         let acts = &self.acts;
         let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
         // A stop also produces an `OK`. An `OK` is the end of a script only once the script can have ended.
@@ -97,7 +97,7 @@ impl Mission {
     }
 
     /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
-    fn rests_already(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn rests_already(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let stop = &mut self.robots[robot].stop;
         if !matches!(stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
             return;
@@ -112,7 +112,7 @@ impl Mission {
     /// Handles a robot that refuses the stop because it now belongs to another session. The refusal is reported once. If the operator
     /// requested the stop, it is repeated, because the robot may become free. A mission that has failed leaves the robot to the other
     /// session, so that no later stop affects that session.
-    fn stop_refused(&mut self, robot: usize) {
+    fn stop_refused(&mut self, robot: RobotIndex) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
         if let Stop::Sent(sent) = &mut self.robots[robot].stop {
             sent.given_up |= sent.taken_over.is_some() && !by_operator;
@@ -127,7 +127,7 @@ impl Mission {
     }
 
     /// Sends a robot as many scripts as its devices have room for, in order of start.
-    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if !self.robots[robot].may_be_sent_scripts() {
             return;
         }
@@ -180,7 +180,7 @@ impl Mission {
 
     /// Sends a message. While an act of the robot approaches its start, a question that carries the lease is sent ahead of the message.
     /// Between the critical instant (when the scheduler stops sending before a start) and the commitment, the message is deferred.
-    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
+    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: RobotIndex, mut message: Message) {
         let waits = |act: &Act| act.holds_messages_to(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
             return self.deferred.push((robot, message));
@@ -195,7 +195,7 @@ impl Mission {
 
     /// Sets `pending_until`, the limit after which a robot drops a script that is not decided. Only an inquiry extends the limit, so a
     /// robot without inquiries gets none.
-    fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
+    fn limit(&self, now: Timestamp<Server>, robot: RobotIndex, message: &mut Message) {
         let Message::ControlRequest(request) = message else { return };
         let state = &self.robots[robot];
         let script = request.request_id.as_ref().and_then(|id| state.requests.get(id));
@@ -216,15 +216,15 @@ impl Mission {
         }
     }
 
-    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         self.post_by(now, robot, message, false);
     }
 
-    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         self.post_by(now, robot, message, true);
     }
 
-    fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
+    fn post_by(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message, urgent: bool) {
         if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
             self.robots[robot].is_sent(now, &message);
             self.actions.push(Action::Send { robot, message, urgent });
@@ -237,7 +237,7 @@ impl Mission {
     }
 
     /// Writes a record that an act waits for.
-    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: u32, record: Record) {
+    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: ActNumber, record: Record) {
         let durable = record.is_durable();
         self.record(record);
         if durable {
@@ -308,7 +308,7 @@ pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
 /// arrive in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
-    (robot, says): (usize, Says),
+    (robot, says): (RobotIndex, Says),
     device: &DeviceId,
     response: &ControlResponse,
 ) -> Option<ScriptRef> {
@@ -360,7 +360,7 @@ pub(super) fn open_without_name(
 /// The scripts of an act on a robot's device, in order of time, with their references.
 fn of_device<'a>(
     act: &'a Act,
-    robot: usize,
+    robot: RobotIndex,
     device: &'a DeviceId,
 ) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a Script)> {
     let places = act.place_of(robot).into_iter();

@@ -18,7 +18,7 @@ use super::reads::OwedReadings;
 use super::requests::may_be_for_a_stop;
 use super::script::{Ending, Script, ScriptRef, ScriptState};
 use super::seize::Ownership;
-use super::{ClockMode, Loss, MissionSettings, Participant};
+use super::{ActNumber, ClockMode, IndexVec, Loss, MissionSettings, Participant, RobotIndex};
 use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
@@ -111,11 +111,11 @@ pub(crate) enum Reading {
     /// A reading that is only displayed before a mission.
     Shown(DeviceId),
     /// An act waits for the reading. Contains the number of the act.
-    Wait(u32),
+    Wait(ActNumber),
     /// The scenario requests the reading. Contains the number of the act, and the index of the reading.
-    Planned(u32, usize),
+    Planned(ActNumber, usize),
     /// The reading detects when a device begins to move. Contains the number of the act, and the index among the act's watched devices.
-    Motion(u32, usize),
+    Motion(ActNumber, usize),
 }
 
 /// A robot's totals over all acts that have ended.
@@ -232,6 +232,9 @@ impl Questions {
     }
 }
 
+/// The robots of a mission.
+pub(crate) type Robots = IndexVec<RobotIndex, RobotState>;
+
 /// One robot of the mission.
 #[derive(Debug)]
 pub(crate) struct RobotState {
@@ -325,7 +328,7 @@ const UNDER_WAY: Span = Span::from_millis(1_000);
 /// A request for the positions of a robot's devices before an act.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionsAsked {
-    pub(crate) act: u32,
+    pub(crate) act: ActNumber,
     pub(crate) at: Timestamp<Server>,
     /// The time of the first request for positions before this act.
     pub(crate) since: Timestamp<Server>,

@@ -9,14 +9,15 @@ use urrcp::{
 };
 
 use super::claim::{Claim, Told};
+use super::{ActNumber, MemberIndex};
 
 /// Identifies one script of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct ScriptRef {
     /// The number of the script's act in the mission.
-    pub(crate) act: u32,
+    pub(crate) act: ActNumber,
     /// Index of the robot among the robots (members) of the act.
-    pub(crate) member: usize,
+    pub(crate) member: MemberIndex,
     /// Index of the script among the scripts of that member.
     pub(crate) script: usize,
 }

@@ -15,8 +15,8 @@ use super::timing::Leases;
 use super::{Act, ActAction, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::Record;
-use crate::robot_state::RobotState;
-use crate::{Outcome, Progress};
+use crate::robot_state::{RobotState, Robots};
+use crate::{Outcome, Progress, RobotIndex};
 
 /// How long before the latest time for the commitment a silent robot is considered failed. The other robots can then still be committed
 /// in time.
@@ -40,7 +40,7 @@ pub(crate) struct Approach {
     /// Sending times of the last two rounds of questions, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
-    /// All members (robots of the act) before this index have answered one of the last two rounds of questions.
+    /// Number of leading members (robots of the act) that have answered one of the last two rounds of questions.
     heard: usize,
     /// The time of an extra round of questions after the critical instant. It is sent because this process had stalled during the regular
     /// rounds; `None` if there was none.
@@ -58,7 +58,7 @@ pub(crate) struct Commitment {
     begun: Timestamp<Server>,
     /// The next instant at which a device may have finished a script, and so have room for another one.
     room: Timestamp<Server>,
-    /// All members (robots of the act) before this index have answered since the commitment was sent.
+    /// Number of leading members (robots of the act) that have answered since the commitment was sent.
     heard: usize,
     told: Told,
     /// The time at which the mission checks whether all robots have answered the commitment. It is the latest one at which a withdrawal
@@ -166,7 +166,7 @@ impl Commitment {
 
 impl Act {
     /// Performs the step that is due before the start: a round of questions, the record of the commitment, or the commitment itself.
-    pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
             return Vec::new();
@@ -190,7 +190,7 @@ impl Act {
         if now >= approach.wakeup { self.round(now, robots) } else { Vec::new() }
     }
 
-    fn round(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn round(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = Vec::new();
         if self.may_be_recorded(now, robots) {
             actions.push(ActAction::Record(Record::Committed { number: self.number }));
@@ -208,14 +208,14 @@ impl Act {
 
     /// Whether another round of questions is needed and possible after the critical instant, because this process stalled during the last
     /// rounds.
-    fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         let since = approach.since(timing);
         approach.may_ask_late(now, timing)
             && self.present().any(|member| !member.holds_since(&robots[member.robot], since))
     }
 
-    fn ask_late(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn ask_late(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let actions = self.round(now, robots);
         if let Stage::Approaching(approach) = &mut self.stage {
             (approach.rounds, approach.late_round) = ([now, now], Some(now));
@@ -224,7 +224,7 @@ impl Act {
     }
 
     /// Whether to write the record of the commitment now. It is written before the commitment can be sent, because the disk may be slow.
-    fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn may_be_recorded(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
             return false;
@@ -238,7 +238,7 @@ impl Act {
 
     /// Commits the act once all conditions hold, or gives it up in time. Called after the critical instant (the end of regular
     /// questions).
-    fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
@@ -250,7 +250,7 @@ impl Act {
         // not answered.
         let holds =
             |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
-        let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
+        let heard = self.members.iter().skip(approach.heard).take_while(|member| holds(member)).count();
         approach.heard += heard;
         let all = approach.heard == self.members.len();
         let on_disk = approach.on_disk;
@@ -281,8 +281,8 @@ impl Act {
         &self,
         now: Timestamp<Server>,
         since: Timestamp<Server>,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
         let blamed = match (&self.stage, &self.timing) {
             (Stage::Approaching(approach), Some(timing)) => approach.blames_silence(now, timing),
             _ => true,
@@ -317,7 +317,7 @@ impl Act {
 
     /// Handles a committed act until it plays: renews the leases beyond the start, and detects whether every robot has answered the
     /// commitment.
-    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
             return vec![ActAction::Fail(doubtful)];
@@ -341,7 +341,7 @@ impl Act {
 
     /// Sends further scripts to robots whose clocks are ahead. Such a robot may have played a script, and need the next one, before the
     /// last robot has started.
-    fn make_room(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn make_room(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
             return Vec::new();
         }
@@ -356,7 +356,7 @@ impl Act {
 
     /// Returns the robots that have not answered the commitment in time to withdraw it, if the scenario requests a withdrawal in this
     /// case. It is unknown whether these robots will start.
-    fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+    fn doubtful(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
@@ -368,21 +368,21 @@ impl Act {
         }
         let (since, within) = (commitment.since, now - commitment.since);
         let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
-        let failure = |robot: usize| {
+        let failure = |robot: RobotIndex| {
             let awaited = "confirmation of the start (`on_doubt` is `withdraw`)".to_owned();
             (robot, FailureKind::Silent { awaited, within })
         };
         silent.map(|member| failure(member.robot)).collect()
     }
 
-    fn note_answers(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn note_answers(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &mut self.timing) else {
             return Vec::new();
         };
         let since = commitment.since;
         let answered =
             |member: &super::Member| !member.takes_part() || has_answered(&robots[member.robot], since);
-        let heard = self.members[commitment.heard..].iter().take_while(|member| answered(member)).count();
+        let heard = self.members.iter().skip(commitment.heard).take_while(|member| answered(member)).count();
         commitment.heard += heard;
         if commitment.heard < self.members.len() || commitment.told == Told::Window {
             return Vec::new();

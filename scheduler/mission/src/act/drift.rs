@@ -6,7 +6,7 @@ use urrcp::{Server, Span, Timestamp};
 use super::playing::planned_end;
 use super::{Act, Member};
 use crate::clock::DRIFT_BOUND;
-use crate::robot_state::RobotState;
+use crate::robot_state::Robots;
 use crate::script::ScriptRef;
 use crate::{ClockMode, Record};
 
@@ -59,7 +59,7 @@ impl Act {
     /// Returns how far apart robots certainly were at the end of the act because of clock drift. If a robot was certainly even further
     /// off its plan, returns that time instead. Considers only robots that played to the end. A robot whose clock was set meanwhile is
     /// ignored, because its plan may not follow that clock.
-    pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
+    pub(crate) fn drifted_apart(&self, robots: &Robots) -> Option<Span> {
         let start = self.timing.as_ref()?.start;
         let deviation = |member: &Member| {
             let robot = &robots[member.robot];

@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 
 use super::member::{Chain, Part};
 use super::{Act, Member, Stage, Timing};
-use crate::robot_state::RobotState;
+use crate::RobotIndex;
+use crate::robot_state::{RobotState, Robots};
 use crate::script::Script;
 
 impl Act {
     /// Panics if an invariant of the act does not hold.
-    pub(crate) fn check(&self, robots: &[RobotState]) {
+    pub(crate) fn check(&self, robots: &Robots) {
         self.check_members(robots);
         self.check_stage();
         if let Some(timing) = &self.timing {
@@ -17,13 +18,13 @@ impl Act {
         }
     }
 
-    fn check_members(&self, robots: &[RobotState]) {
+    fn check_members(&self, robots: &Robots) {
         let name = self.name();
-        assert!(self.index < self.choreography.acts.len(), "{name}: the choreography contains the act");
+        assert!(self.index.get() < self.choreography.acts.len(), "{name}: the choreography contains the act");
         assert!(self.place.len() <= robots.len(), "{name}: every place belongs to a robot of the mission");
-        let robots_of: BTreeSet<usize> = self.members.iter().map(|member| member.robot).collect();
+        let robots_of: BTreeSet<RobotIndex> = self.members.iter().map(|member| member.robot).collect();
         assert_eq!(robots_of.len(), self.members.len(), "{name}: each robot has at most one part in an act");
-        for (place, member) in self.members.iter().enumerate() {
+        for (place, member) in self.members.enumerated() {
             assert_eq!(
                 self.place_of_member(member.robot),
                 Some(place),

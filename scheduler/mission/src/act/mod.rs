@@ -26,12 +26,13 @@ use urrcp::{ControlRequest, DeviceId, RequestId, Robot, Server, SessionId, Span,
 use super::events::TakenReading;
 use super::failure_kind::FailureKind;
 use super::motion::Watched;
-use super::robot_state::{Reading, RobotState};
+use super::robot_state::{Reading, Robots};
 use super::script::{Script, ScriptRef};
 use super::{Outcome, Progress, Record};
+use crate::{ActIndex, ActNumber, IndexVec, MemberIndex, RobotIndex};
 use approaching::{Approach, Commitment};
 use member::Part;
-pub(crate) use member::{Member, members};
+pub(crate) use member::{Member, Members, members};
 pub(crate) use playing::LAPSE;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
@@ -87,17 +88,17 @@ pub(crate) enum Progressed {
 #[must_use]
 pub(crate) enum ActAction {
     /// Read a sensor.
-    Read { robot: usize, sensor: DeviceId, what: Reading },
+    Read { robot: RobotIndex, sensor: DeviceId, what: Reading },
     /// The act has waited for too long. The mission continues with this [`Way`] instead.
     TimedOut(Way),
     /// Send the request of this script.
     Send(ScriptRef),
     /// For each of these robots: send every device as many scripts as it has room for.
-    Refill(Vec<usize>),
+    Refill(Vec<RobotIndex>),
     /// Ask these robots about the state of their scripts.
-    Ask(Vec<usize>),
+    Ask(Vec<RobotIndex>),
     /// These robots have failed.
-    Fail(Vec<(usize, FailureKind)>),
+    Fail(Vec<(RobotIndex, FailureKind)>),
     /// Withdraw the act, because it cannot start.
     Withdraw(Outcome),
     /// Write this record.
@@ -129,11 +130,14 @@ pub(super) enum Question {
     Extends,
 }
 
+/// For each robot of the mission: its index among the members of an act; `None` for a robot without a part.
+type Places = IndexVec<RobotIndex, Option<MemberIndex>>;
+
 /// One act under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Act {
-    number: u32,
-    index: usize,
+    number: ActNumber,
+    index: ActIndex,
     choreography: Arc<Choreography>,
     stage: Stage,
     follow: Way,
@@ -150,10 +154,9 @@ pub(crate) struct Act {
     /// to its robots.
     links_tried: Option<Timestamp<Server>>,
     timing: Option<Timing>,
-    members: Vec<Member>,
-    /// Maps the index of each robot in the mission to its index in `members`; `None` for a robot without a part. Robots after the last
-    /// member are omitted.
-    place: Vec<Option<usize>>,
+    members: Members,
+    /// The index of each robot of the mission in `members`; `None` for a robot without a part. Robots after the last member are omitted.
+    place: Places,
     readings_asked: usize,
     readings: Vec<TakenReading>,
     /// The devices whose movements are verified with sensors once the act is committed.
@@ -164,18 +167,18 @@ impl Act {
     /// Creates the act with this index in the choreography. It waits for its condition.
     pub(crate) fn new(
         choreography: Arc<Choreography>,
-        index: usize,
-        number: u32,
-        robots: &[RobotState],
+        index: ActIndex,
+        number: ActNumber,
+        robots: &Robots,
         since: Timestamp<Server>,
         before: Option<Timestamp<Server>>,
     ) -> Self {
-        let members = members(&choreography.acts[index].plan, robots);
+        let members = members(&choreography.acts[index.get()].plan, robots);
         Self {
             number,
             index,
             stage: Stage::Waiting(waiting::Waiting::default()),
-            follow: choreography.acts[index].next,
+            follow: choreography.acts[index.get()].next,
             attempts: 0,
             fixed: None,
             since,
@@ -193,18 +196,18 @@ impl Act {
     }
 
     /// Returns the act's number in the mission, starting at 0.
-    pub(crate) const fn number(&self) -> u32 {
+    pub(crate) const fn number(&self) -> ActNumber {
         self.number
     }
 
     /// Returns the act's index in the choreography.
-    pub(crate) const fn index(&self) -> usize {
+    pub(crate) const fn index(&self) -> ActIndex {
         self.index
     }
 
     /// Returns the act's definition in the scenario.
     pub(crate) fn written(&self) -> &downbeat_plan::Act {
-        &self.choreography.acts[self.index]
+        &self.choreography.acts[self.index.get()]
     }
 
     /// Returns the act's name for users.
@@ -268,7 +271,7 @@ impl Act {
         self.timing.as_ref()
     }
 
-    pub(crate) fn members(&self) -> &[Member] {
+    pub(crate) const fn members(&self) -> &Members {
         &self.members
     }
 
@@ -282,18 +285,18 @@ impl Act {
     }
 
     /// Returns the member for a robot, even if the robot no longer takes part.
-    pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
+    pub(crate) fn member(&self, robot: RobotIndex) -> Option<&Member> {
         self.place_of_member(robot).map(|place| &self.members[place])
     }
 
     /// Returns the index in `members` of a robot; `None` if the robot does not take part, or no longer.
-    pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
+    pub(crate) fn place_of(&self, robot: RobotIndex) -> Option<MemberIndex> {
         self.place_of_member(robot).filter(|place| self.members[*place].takes_part())
     }
 
     /// Returns the index in `members` of a robot, even if the robot no longer takes part.
-    fn place_of_member(&self, robot: usize) -> Option<usize> {
-        self.place.get(robot).copied().flatten()
+    fn place_of_member(&self, robot: RobotIndex) -> Option<MemberIndex> {
+        self.place.get(robot.get()).copied().flatten()
     }
 
     pub(crate) fn script(&self, script: ScriptRef) -> &Script {
@@ -301,7 +304,7 @@ impl Act {
     }
 
     /// Returns the index of the robot that plays a script.
-    pub(crate) fn robot_of(&self, script: ScriptRef) -> usize {
+    pub(crate) fn robot_of(&self, script: ScriptRef) -> RobotIndex {
         self.members[script.member].robot
     }
 
@@ -320,7 +323,7 @@ impl Act {
 
     /// Whether a script may be sent now. Before the commitment, the device must have accepted its first script. If the first script were
     /// lost on the way, a later one could begin without it and without the other robots.
-    pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
+    pub(crate) fn lets_follow(&self, member: MemberIndex, script: usize) -> bool {
         let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
         !uncommitted || self.members[member].may_follow(script)
     }
@@ -388,7 +391,7 @@ impl Act {
     }
 
     /// Removes a robot from the act.
-    pub(crate) fn drop_robot(&mut self, robot: usize) {
+    pub(crate) fn drop_robot(&mut self, robot: RobotIndex) {
         if let Some(place) = self.place_of_member(robot) {
             self.members[place].part = Part::Dropped;
         }
@@ -397,16 +400,16 @@ impl Act {
 
     /// For a robot that is left out, returns the requests that it may have received before this process took over the act. Requests whose
     /// fate the robot has reported are excluded. `None` if none remain.
-    pub(crate) fn unheard_of(&self, robot: usize) -> Option<NamedScripts> {
+    pub(crate) fn unheard_of(&self, robot: RobotIndex) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_unheard_since_taken_up)
     }
 
     /// For a robot that is left out, returns the requests whose fate it has not reported; `None` if there are none.
-    pub(crate) fn owed_by(&self, robot: usize) -> Option<NamedScripts> {
+    pub(crate) fn owed_by(&self, robot: RobotIndex) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_out)
     }
 
-    fn left_out_with(&self, robot: usize, is_meant: impl Fn(&Script) -> bool) -> Option<NamedScripts> {
+    fn left_out_with(&self, robot: RobotIndex, is_meant: impl Fn(&Script) -> bool) -> Option<NamedScripts> {
         let member = self.member(robot).filter(|member| !member.takes_part())?;
         let meant = member.scripts().iter().filter(|script| is_meant(script));
         let requests: Vec<_> = meant.filter_map(|script| script.request_id().cloned()).collect();
@@ -414,7 +417,7 @@ impl Act {
     }
 
     /// Adds robots that have joined the mission meanwhile, unless the act has already been sent.
-    pub(crate) fn gather(&mut self, robots: &[RobotState]) {
+    pub(crate) fn gather(&mut self, robots: &Robots) {
         if !self.was_sent() {
             self.members = members(&self.written().plan, robots);
             self.place = places(&self.members);
@@ -425,7 +428,7 @@ impl Act {
     pub(crate) fn advance(
         &mut self,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
         options: &super::MissionOptions,
     ) -> Vec<ActAction> {
         let mut watched = self.watch_motions(now);
@@ -499,7 +502,7 @@ impl Act {
     /// server's, if known. All leases end at the same instant, whatever a clock shows.
     pub(crate) fn names_of(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
@@ -513,14 +516,14 @@ impl Act {
     }
 
     /// Whether a robot may hold a request of this act.
-    pub(crate) fn has_something_on(&self, robot: usize) -> bool {
+    pub(crate) fn has_something_on(&self, robot: RobotIndex) -> bool {
         let place = self.place_of(robot).filter(|_| self.was_sent());
         place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
     }
 
     /// Whether the act approaches its start and includes this robot. Every message to the robot must then follow a question that sets a
     /// lease.
-    pub(crate) fn approaches(&self, robot: usize) -> bool {
+    pub(crate) fn approaches(&self, robot: RobotIndex) -> bool {
         matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
     }
 
@@ -529,7 +532,7 @@ impl Act {
     /// commit it, but cannot extend them.
     pub(crate) fn to_withdraw(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
@@ -545,7 +548,7 @@ impl Act {
     }
 
     /// Whether messages to a robot must wait, because they would extend its lease beyond a start that is not committed.
-    pub(crate) fn holds_messages_to(&self, robot: usize, now: Timestamp<Server>) -> bool {
+    pub(crate) fn holds_messages_to(&self, robot: RobotIndex, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
         let undecided = match &self.stage {
             Stage::Preparing(_) => true,
@@ -562,7 +565,7 @@ impl Act {
 
     /// Whether an urgent message may be sent to a robot although other messages to it must wait. It follows a question that shortens the
     /// robot's lease.
-    pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
+    pub(crate) fn lets_through(&self, robot: RobotIndex, now: Timestamp<Server>) -> bool {
         let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
         timing.is_some() && self.approaches(robot)
     }
@@ -577,16 +580,17 @@ impl Act {
     }
 }
 
-fn places(members: &[Member]) -> Vec<Option<usize>> {
-    let mut places = vec![None; members.iter().map(|member| member.robot + 1).max().unwrap_or_default()];
-    for (place, member) in members.iter().enumerate() {
+fn places(members: &Members) -> Places {
+    let robots = members.iter().map(|member| member.robot.get() + 1).max().unwrap_or_default();
+    let mut places = Places::from(vec![None; robots]);
+    for (place, member) in members.enumerated() {
         places[member.robot] = Some(place);
     }
     places
 }
 
 /// Returns the name of an act for users.
-pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
-    let act = &choreography.acts[act];
+pub(crate) fn act_name(choreography: &Choreography, act: ActIndex) -> String {
+    let act = &choreography.acts[act.get()];
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
 }

@@ -3,12 +3,13 @@
 use urrcp::{Server, Timestamp};
 
 use super::{Act, ActAction, Stage};
+use crate::RobotIndex;
 use crate::motion::{MotionReport, Watched};
-use crate::robot_state::{Reading, RobotState};
+use crate::robot_state::{Reading, Robots};
 
 impl Act {
     /// Starts to watch the first movement of each device whose position a sensor shows.
-    pub(crate) fn verify_motions(&mut self, robots: &[RobotState]) {
+    pub(crate) fn verify_motions(&mut self, robots: &Robots) {
         self.watched = Watched::of(self, robots);
     }
 
@@ -19,8 +20,8 @@ impl Act {
             return Vec::new();
         }
         let (start, members, place) = (timing.start, &self.members, &self.place);
-        let takes_part = |robot: usize| {
-            place.get(robot).copied().flatten().is_some_and(|place| members[place].takes_part())
+        let takes_part = |robot: RobotIndex| {
+            place.get(robot.get()).copied().flatten().is_some_and(|place| members[place].takes_part())
         };
         let mut actions = Vec::new();
         for (index, watched) in self.watched.iter_mut().enumerate() {
@@ -49,7 +50,7 @@ impl Act {
     }
 
     /// Returns the reports on the motions that sensors have verified.
-    pub(crate) fn motions(&self, robots: &[RobotState]) -> Vec<MotionReport> {
+    pub(crate) fn motions(&self, robots: &Robots) -> Vec<MotionReport> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let watched = self.watched.iter();
         watched.map(|watched| watched.report(timing.start, &robots[watched.robot()])).collect()

@@ -6,11 +6,11 @@ use urrcp::{
 
 use super::timing::CLOCK_UNKNOWN;
 use super::{Act, ActAction, Member, Stage, Timing};
-use crate::Progress;
 use crate::claim::{Possible, Times, Told};
 use crate::failure_kind::FailureKind;
-use crate::robot_state::{Reading, RobotState};
+use crate::robot_state::{Reading, RobotState, Robots};
 use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
+use crate::{MemberIndex, Progress, RobotIndex};
 
 /// How long after an event a robot's report of it may still arrive, in addition to two round trips.
 const REPORT_GRACE: Span = Span::from_millis(500);
@@ -34,7 +34,7 @@ pub(super) struct Playing {
     asked: Option<Timestamp<Server>>,
     /// How long after an event a robot's report of it may still arrive, as determined at the last check for reports.
     grace: Span,
-    /// All members before this index have completed their scripts, or no longer take part.
+    /// Number of leading members that have completed their scripts, or no longer take part.
     done: usize,
 }
 
@@ -76,7 +76,7 @@ impl Act {
         script: ScriptRef,
         response: &ControlResponse,
         arrived: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Noted {
         if self.script(script).had_another_name(response) {
             return Noted { news: News::None, actions: Vec::new() };
@@ -129,7 +129,7 @@ impl Act {
         script: ScriptRef,
         report: &RequestReport,
         (asked_at, said_at, arrived): (Timestamp<Server>, Timestamp<Robot>, Timestamp<Server>),
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Noted {
         if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
             return noted;
@@ -163,7 +163,7 @@ impl Act {
 
     /// Returns the consequences of a robot's impossible statement about a script; `None` if the statement is possible. Statements about a
     /// finished script are ignored.
-    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
+    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &Robots) -> Option<Noted> {
         let member = &self.members[reference.member];
         let script = &member.scripts()[reference.script];
         let robot = member.robot;
@@ -196,7 +196,7 @@ impl Act {
         Possible { planned: script.steps_planned(), before: script.steps_said(), times }
     }
 
-    fn noted(&mut self, script: ScriptRef, news: News, robots: &[RobotState]) -> Noted {
+    fn noted(&mut self, script: ScriptRef, news: News, robots: &Robots) -> Noted {
         let member = &self.members[script.member];
         let robot = member.robot;
         let id = robots[robot].id.clone();
@@ -279,7 +279,7 @@ impl Act {
     }
 
     /// Ends the act when all scripts are done, and finds overdue reports.
-    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
         if self.has_ended(now, robots) {
             self.stage = Stage::Over;
@@ -304,7 +304,7 @@ impl Act {
         actions
     }
 
-    fn has_ended(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn has_ended(&mut self, now: Timestamp<Server>, robots: &Robots) -> bool {
         self.is_played(robots)
             && !self.awaits_those_left_out(now, robots)
             && self.rests_until().is_none_or(|end| now >= end)
@@ -319,16 +319,16 @@ impl Act {
     }
 
     /// Whether no script of the act can still run. Each event checks only from the first member that is not done.
-    fn is_played(&mut self, robots: &[RobotState]) -> bool {
+    fn is_played(&mut self, robots: &Robots) -> bool {
         let Stage::Playing(playing) = &mut self.stage else { return false };
         let done = |member: &&Member| !member.takes_part() || member.is_done();
-        playing.done += self.members[playing.done..].iter().take_while(done).count();
-        let mut rest = self.members[playing.done..].iter().filter(|member| member.takes_part());
+        playing.done += self.members.iter().skip(playing.done).take_while(done).count();
+        let mut rest = self.members.iter().skip(playing.done).filter(|member| member.takes_part());
         rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
     }
 
     /// Whether robots that were left out before this process took over the act may soon report the steps that they played.
-    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
         let may_answer = |member: &Member| {
             let robot = &robots[member.robot];
             robot.takes_inquiries() && !robot.is_gone() && self.unheard_of(member.robot).is_some()
@@ -338,7 +338,7 @@ impl Act {
 
     /// Brings forward the next check, if a member needs an earlier one. The member reports by itself and now plays another script. The
     /// checks of the other members are unchanged.
-    fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
+    fn watch_for(&mut self, member: MemberIndex, robots: &Robots) {
         let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();
         let next = next.map_or(*watch, |next| next.min(*watch));
@@ -349,19 +349,19 @@ impl Act {
 
     /// Checks single robots, by their own clocks, before the act plays on all of them. Finds overdue reports, and lapsed scripts (whose
     /// fate can no longer be learned).
-    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = self.refill_lapsed(now, robots);
         actions.extend(self.ask_for_overdue(now, robots));
         actions
     }
 
-    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let lapsed = self.lapse(now, robots);
         if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
     /// Marks scripts whose time has passed as lapsed (of unknown fate), on robots that cannot report it. Returns those robots.
-    fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
+    fn lapse(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<RobotIndex> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let grace = self.report_grace(robots);
         let mut lapsed = Vec::new();
@@ -390,12 +390,12 @@ impl Act {
     }
 
     /// Asks robots for overdue reports. A robot that still has not reported after the grace time fails.
-    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
         let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
         let mut ask = Vec::new();
-        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
-        for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
+        let mut failing: Vec<(RobotIndex, FailureKind)> = Vec::new();
+        for (place, member) in self.members.enumerated().filter(|(_, member)| member.takes_part()) {
             let robot = &robots[member.robot];
             // A robot without a link cannot report, nor one that has sent nothing on a new link. A lost link has its own deadline.
             if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
@@ -472,7 +472,7 @@ impl Act {
     fn watched<'a>(
         &'a self,
         member: &'a Member,
-        robots: &'a [RobotState],
+        robots: &'a Robots,
         grace: Span,
     ) -> impl Iterator<Item = [Timestamp<Server>; 2]> + 'a {
         let robot = &robots[member.robot];
@@ -486,7 +486,7 @@ impl Act {
         })
     }
 
-    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
+    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &Robots) -> Timestamp<Server> {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| self.watched(member, robots, grace));
         let answered = Some(self.since + REPORT_GRACE).filter(|_| self.awaits_those_left_out(now, robots));
@@ -502,7 +502,7 @@ impl Act {
 
     /// Returns the interval until the next check. It is short while a robot that does not report by itself owes an answer or must be sent
     /// a script again.
-    fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
+    fn patience_with_silent_ones(&self, robots: &Robots) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
         let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
@@ -515,7 +515,7 @@ impl Act {
     }
 
     /// Returns how long after an event a robot's report of it may still arrive.
-    pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
+    pub(crate) fn report_grace(&self, robots: &Robots) -> Span {
         longest_round_trip(self, robots) * 2 + REPORT_GRACE
     }
 
@@ -524,9 +524,9 @@ impl Act {
     /// handle such a robot.
     pub(crate) fn gives_up(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
         patience: Span,
     ) -> Option<Timestamp<Server>> {
         let member = self.member(robot).filter(|_| self.is_committed())?;
@@ -543,7 +543,7 @@ impl Act {
     }
 
     /// Returns the shortest lease under which a robot now plays scripts of this act; `None` if it does not, or without a lease.
-    pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
+    pub(crate) fn running_lease(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Span> {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begins = |script: &Script| timing.start + script.plan.start.span();
@@ -568,7 +568,7 @@ impl Act {
     }
 
     /// Returns the next time after `now` at which a script that a robot holds begins; `None` if there is no such script.
-    pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
+    pub(crate) fn next_begin(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
@@ -591,15 +591,15 @@ impl Act {
     }
 
     /// Requests those sensor readings of the scenario that are due.
-    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = Vec::new();
         while self.reading_due().is_some_and(|due| now >= due) {
             let which = self.readings_asked;
             self.readings_asked += 1;
             let planned = &self.written().readings[which];
             let what = Reading::Planned(self.number, which);
-            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
-            let robot = robots.iter().position(|state| state.id == planned.robot);
+            let left_out = |robot: RobotIndex| self.member(robot).is_some_and(|member| !member.takes_part());
+            let robot = robots.position(|state| state.id == planned.robot);
             let robot = robot.filter(|robot| !left_out(*robot));
             let sensor = planned.sensor.clone();
             actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
@@ -614,7 +614,7 @@ impl Act {
 
     /// Stores a reading that the scenario requested.
     pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
-        if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
+        if let Some(planned) = self.choreography.acts[self.index.get()].readings.get(which) {
             let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
             self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
         }
@@ -698,6 +698,6 @@ pub(super) fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestam
     start + script.plan.start.span() + script.duration()
 }
 
-fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {
+fn longest_round_trip(act: &Act, robots: &Robots) -> Span {
     act.present().map(|member| robots[member.robot].round_trip()).max().unwrap_or_default()
 }

@@ -4,13 +4,13 @@
 use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
 use super::approaching::Approach;
-use super::{Act, ActAction, Member, Stage, Timing};
+use super::{Act, ActAction, Member, Members, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::{Promise, PromisedScript, Record};
-use crate::robot_state::RobotState;
+use crate::robot_state::{RobotState, Robots};
 use crate::script::{Script, ScriptRef};
 use crate::skew::SkewBudget;
-use crate::{Outcome, Progress};
+use crate::{ActNumber, Outcome, Progress, RobotIndex};
 
 /// If a decision is overdue by more than this, the cause is a delay of this machine.
 pub(super) const HELD_UP: Span = Span::from_millis(20);
@@ -26,7 +26,7 @@ enum Asked {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Preparing {
     asked: Asked,
-    /// All members before this index have accepted all their scripts.
+    /// Number of leading members that have accepted all their scripts.
     accepted: usize,
 }
 
@@ -73,14 +73,15 @@ impl Act {
     pub(crate) fn promise(
         &mut self,
         timing: Timing,
-        robots: &[RobotState],
+        robots: &Robots,
         session: Option<&SessionId>,
         shift_of: impl Fn(&RobotState) -> Span,
-    ) -> (Vec<(usize, RequestId, ScriptRef)>, Vec<ActAction>) {
+    ) -> (Vec<(RobotIndex, RequestId, ScriptRef)>, Vec<ActAction>) {
         let session = session.map(|session| format!("{session}/")).unwrap_or_default();
         let micros = timing.timestamp.as_nanos() / 1_000;
         let mut names = Vec::new();
-        for (m, member) in self.members.iter_mut().enumerate() {
+        for m in self.members.indices() {
+            let member = &mut self.members[m];
             member.shift = shift_of(&robots[member.robot]);
             member.clock_steps = Some(robots[member.robot].clock.steps());
             for s in 0..member.scripts().len() {
@@ -106,7 +107,7 @@ impl Act {
         (names, vec![ActAction::Record(Record::Prepared(promise)), ActAction::Tell(tell)])
     }
 
-    fn promised(&self, timing: &Timing, robots: &[RobotState]) -> Promise {
+    fn promised(&self, timing: &Timing, robots: &Robots) -> Promise {
         let script = |member: &Member, script: &Script| {
             Some(PromisedScript {
                 robot: robots[member.robot].id.clone(),
@@ -155,13 +156,13 @@ impl Act {
 
     /// Decides whether the act starts, as soon as all robots have accepted or when the decision is due. It starts only if every robot has
     /// accepted all its scripts; otherwise, none starts.
-    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
         // Each event checks from the first member that has not accepted.
         let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
-        preparing.accepted += self.members[preparing.accepted..].iter().take_while(accepted).count();
+        preparing.accepted += self.members.iter().skip(preparing.accepted).take_while(accepted).count();
         let all = preparing.accepted == self.members.len();
         if !all && now < timing.decision {
             if preparing.asked == Asked::Again || now < timing.ask_again() {
@@ -197,7 +198,7 @@ impl Act {
         self.decide(now, robots)
     }
 
-    fn decide(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn decide(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
         let early = shown.map(|shown| self.allow_for_shown(now, &shown, robots)).unwrap_or_default();
         if !early.is_empty() {
@@ -232,10 +233,10 @@ fn has_had_time(now: Timestamp<Server>, member: &Member, timing: &Timing) -> boo
 }
 
 /// Returns the unanswered requests, to be sent again in case they were lost.
-fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
+fn unanswered(act: ActNumber, timing: &Timing, members: &Members, robots: &Robots) -> Vec<ActAction> {
     let waits =
         |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();
-    let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
+    let waiting = members.enumerated().filter(|(_, member)| waits(member));
     let open = waiting.flat_map(|(m, member)| member.unaccepted(timing).map(move |(s, _)| (m, s)));
     open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()
 }

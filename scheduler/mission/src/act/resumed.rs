@@ -13,8 +13,9 @@ use super::{Act, Member, Stage, Timing, places};
 use crate::lead::LeadTime;
 use crate::record::{Promise, PromisedScript};
 use crate::resume::Changed;
-use crate::robot_state::{RobotState, Standing};
+use crate::robot_state::{Robots, Standing};
 use crate::script::ScriptRef;
+use crate::{MemberIndex, RobotIndex};
 
 /// The last step that the other process completed for an act before it died.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,11 +39,11 @@ impl Act {
         choreography: Arc<Choreography>,
         promise: &Promise,
         reached: Reached,
-        robots: &[RobotState],
+        robots: &Robots,
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
-        if promise.act >= choreography.acts.len() {
-            return Err(Changed { what: format!("act {} no longer exists", promise.act + 1) });
+        if promise.act.get() >= choreography.acts.len() {
+            return Err(Changed { what: format!("act {} no longer exists", promise.act.get() + 1) });
         }
         let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
         // The members include robots that were left out after the promise: the report contains the steps that they played.
@@ -133,14 +134,14 @@ impl Act {
     }
 
     /// Returns the ids of all requests of the act, each with its robot and its script.
-    pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
-        let of_member = |(m, member): (usize, &super::Member)| {
+    pub(crate) fn all_names(&self) -> Vec<(RobotIndex, RequestId, ScriptRef)> {
+        let of_member = |(m, member): (MemberIndex, &Member)| {
             let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {
                 let reference = ScriptRef { act: self.number, member: m, script: s };
                 Some((member.robot, script.request_id()?.clone(), reference))
             });
             named.collect::<Vec<_>>()
         };
-        self.members.iter().enumerate().flat_map(of_member).collect()
+        self.members.enumerated().flat_map(of_member).collect()
     }
 }

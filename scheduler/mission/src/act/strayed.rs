@@ -4,12 +4,12 @@
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
 use super::{Act, ActAction, Member, Stage};
-use crate::ClockMode;
 use crate::clock::DRIFT_BOUND;
 use crate::failure_kind::FailureKind;
-use crate::robot_state::RobotState;
+use crate::robot_state::Robots;
 use crate::script::{Script, ScriptState};
 use crate::skew::SkewBudget;
+use crate::{ClockMode, RobotIndex};
 
 /// The maximum error of a robot's timestamp because its clock is coarse.
 const GRAIN: Span = Span::from_millis(5);
@@ -18,7 +18,7 @@ impl Act {
     /// Returns members that would start too far from the others, because their clock has strayed since the act was sent. A robot whose
     /// clock was set forward may start before the commitment. It is therefore reported as soon as its clock shows this, not only at the
     /// commitment.
-    pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+    pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
         if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
             return Vec::new();
         }
@@ -33,8 +33,8 @@ impl Act {
     pub(crate) fn clock_was_set(
         &self,
         now: Timestamp<Server>,
-        robot: usize,
-        robots: &[RobotState],
+        robot: RobotIndex,
+        robots: &Robots,
     ) -> Option<FailureKind> {
         let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
@@ -53,12 +53,7 @@ impl Act {
     }
 
     /// Returns how far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
-    fn deviation(
-        &self,
-        member: &Member,
-        now: Timestamp<Server>,
-        robots: &[RobotState],
-    ) -> Option<(Span, Span)> {
+    fn deviation(&self, member: &Member, now: Timestamp<Server>, robots: &Robots) -> Option<(Span, Span)> {
         let timing = self.timing.as_ref()?;
         let state = &robots[member.robot];
         let reading = state.clock_at(now)?;
@@ -85,7 +80,7 @@ impl Act {
         &self,
         member: &Member,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Option<(Span, Span)> {
         if member.clock_steps.is_some() {
             return Some((Span::ZERO, Span::ZERO));
@@ -105,8 +100,8 @@ impl Act {
     fn by_index(
         &self,
         failing: Vec<(RobotId, FailureKind)>,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
         let index_of = |id| self.present().map(|member| member.robot).find(|robot| robots[*robot].id == id);
         failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
     }
@@ -114,7 +109,7 @@ impl Act {
     /// Adapts the leases of an act that approaches its start, if a clock is found to have changed since the act was sent. The limits for
     /// failures and silence move with the end of the leases, and are returned as progress to report. If there is no time left to end a
     /// lease before its robot starts, that robot fails.
-    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         if !matches!(self.stage, Stage::Approaching(_)) {
             return Vec::new();
         }
@@ -137,8 +132,8 @@ impl Act {
         &mut self,
         now: Timestamp<Server>,
         shown: &SkewBudget,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
         let Some(timing) = &mut self.timing else { return Vec::new() };
         if timing.allow_for(now, shown.early_and_late()) {
             return Vec::new();
@@ -153,7 +148,7 @@ impl Act {
     pub(crate) fn ran_out(
         &self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
         let timing = self.timing.as_ref().filter(|timing| now <= timing.no_return())?;
@@ -172,7 +167,7 @@ impl Act {
     /// running lease. The robot has dropped that script, and all following scripts of its device. The two instants are by its clock.
     pub(crate) fn broke_off(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
         let timing = self.timing.as_ref()?;
