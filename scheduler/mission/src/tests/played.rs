@@ -347,7 +347,7 @@ fn current_acts_are_counted_by_stage() {
 fn robot_figures_include_the_current_acts() {
     let mut played = Played::begun(begins_at_once(Everything));
     let figures = |played: &Played| {
-        let figures = played.mission.figures_of(0);
+        let figures = played.mission.figures_of(R0);
         (
             figures.totals.sent,
             figures.totals.started,
@@ -359,8 +359,8 @@ fn robot_figures_include_the_current_acts() {
     assert_eq!(figures(&played), (1, 0, true, true, false));
     played.run_to_the_start();
     assert_eq!(figures(&played), (1, 1, true, true, false));
-    assert!(played.mission.figures_of(0).clock.is_some());
-    played.mutes(0);
+    assert!(played.mission.figures_of(R0).clock.is_some());
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(figures(&played), (1, 1, true, true, true));
 }
