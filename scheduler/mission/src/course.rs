@@ -97,7 +97,7 @@ impl Mission {
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be awaited.
                     if matches!(what, Reading::Wait(_) | Reading::Motion(..)) {
-                        self.robots[robot].reads.forget(|waits| *waits == what);
+                        self.robots[robot].requests.forget_readings(|waits| *waits == what);
                     }
                     self.read(now, robot, sensor, what);
                 }
@@ -316,7 +316,7 @@ impl Mission {
             let robot = &mut self.robots[member.robot];
             robot.left.clear();
             let names = member.scripts().iter().filter_map(Script::request_id);
-            names.for_each(|id| _ = robot.requests.remove(id));
+            names.for_each(|id| robot.requests.remove_script(id));
         }
         if let Some(report) = ActReport::new(&act, &self.robots) {
             let over = ActOver { act: act.index(), fate: self.fate_of(now, &act) };
@@ -488,7 +488,7 @@ impl Mission {
                 let error = act.start_error(member, script);
                 robot.totals.add(script, error);
                 if let Some(id) = script.request_id() {
-                    robot.requests.remove(id);
+                    robot.requests.remove_script(id);
                 }
             }
         }

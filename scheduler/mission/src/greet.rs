@@ -149,24 +149,26 @@ impl Mission {
         what: Reading,
     ) {
         let session = self.options.session_name().map_or("", |session| session.as_str());
-        self.robots[robot].reads.make_room();
-        let count = self.robots[robot].reads.len();
+        self.robots[robot].requests.make_room_for_reading();
+        let count = self.robots[robot].requests.readings_owed();
         let id = RequestId::new(format!("read/{session}/{}/{robot}/{count}", now.as_nanos() / 1_000)).ok();
         let mut request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         request.request_id.clone_from(&id);
         request.session = self.options.session_on_the_wire();
-        id.into_iter().for_each(|id| self.robots[robot].reads.ask(id, sensor.clone(), what.clone()));
+        if let Some(id) = id {
+            self.robots[robot].requests.add_reading(id, sensor, what);
+        }
         self.send(now, robot, Message::ControlRequest(request));
     }
 
-    /// Processes a response if it answers a request for a sensor reading. Returns whether it does.
+    /// Processes the answer to a request for a sensor reading.
     pub(super) fn reading_taken(
         &mut self,
         now: Timestamp<Server>,
         robot: RobotIndex,
         response: &ControlResponse,
-    ) -> bool {
-        let Some(what) = self.robots[robot].reads.take_answered(response) else { return false };
+        what: Reading,
+    ) {
         let value = match response.status_value {
             StatusValue::Number(value) if response.status == Status::Provide => Some(value),
             _ => None,
@@ -204,7 +206,6 @@ impl Mission {
         if matches!(self.phase, Phase::Greeting { .. }) {
             self.greeting_progress(now);
         }
-        true
     }
 
     /// Once every robot has answered or failed, checks the robots and ends the greeting.
@@ -397,7 +398,7 @@ impl Mission {
         self.leave_to_others();
         let full = self.options.greeting == Greeting::Full;
         for index in self.robots.indices() {
-            self.robots[index].reads.forget(|what| matches!(what, Reading::Shown(_)));
+            self.robots[index].requests.forget_readings(|what| matches!(what, Reading::Shown(_)));
             let robot = &self.robots[index];
             let awaited = match robot.link {
                 _ if robot.has_failed() || robot.standing != Standing::In => continue,
@@ -407,7 +408,7 @@ impl Mission {
                 Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
                     "further availability responses"
                 }
-                Link::Up { .. } if full && robot.reads.awaited().next().is_some() => {
+                Link::Up { .. } if full && robot.requests.awaited_readings().next().is_some() => {
                     "readings of its sensors"
                 }
                 Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",

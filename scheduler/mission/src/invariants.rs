@@ -137,9 +137,9 @@ impl Mission {
 
     fn check_requests(&self) {
         for (index, robot) in self.robots.enumerated() {
-            for (name, script) in &robot.requests {
+            for (name, script) in robot.requests.scripts() {
                 let Some(act) = self.acts.iter().find(|act| act.number() == script.act) else { continue };
-                assert_eq!(act.robot_of(*script), index, "{}: `{name}` is a request to this robot", robot.id);
+                assert_eq!(act.robot_of(script), index, "{}: `{name}` is a request to this robot", robot.id);
             }
         }
     }
@@ -176,7 +176,7 @@ impl Mission {
         assert!(request.time_offset_to_start.is_some(), "{id}: scripts have a planned start");
         assert!(request.content_hash.is_some(), "{id}: scripts are bound to their contents");
         let name = request.request_id.as_ref();
-        let act = name.and_then(|name| state.requests.get(name)).map(|script| script.act);
+        let act = name.and_then(|name| state.requests.script(name)).map(|script| script.act);
         let act = act.and_then(|number| self.acts.iter().find(|act| act.number() == number));
         let may = |act: &Act| act.is_open() || act.is_over() || act.is_lapsing();
         assert!(act.is_none_or(may), "{id} is sent scripts of acts that were promised");

@@ -49,12 +49,13 @@ impl RobotState {
 
     /// Whether the robot has answered all requests for readings and positions of its devices.
     pub(super) fn has_shown_its_pose(&self) -> bool {
-        self.reads.awaited().next().is_none() && self.positions_owed == 0
+        self.requests.awaited_readings().next().is_none() && self.positions_owed == 0
     }
 
     /// Whether the robot still owes an answer about the positions of its devices.
     fn owes_positions(&self) -> bool {
-        self.positions_owed > 0 || self.reads.awaited().any(|what| matches!(what, Reading::Position(_)))
+        self.positions_owed > 0
+            || self.requests.awaited_readings().any(|what| matches!(what, Reading::Position(_)))
     }
 
     /// Whether the robot can be asked for the position of a device: by an inquiry, or else by its sensor.
@@ -84,7 +85,7 @@ impl RobotState {
 
     /// Discards the known positions of the robot's devices, and stops awaiting the sensor readings of positions that the robot owes.
     pub(super) fn forget_positions(&mut self) {
-        self.reads.forget(|what| matches!(what, Reading::Position(_)));
+        self.requests.forget_readings(|what| matches!(what, Reading::Position(_)));
         self.positions.clear();
         self.commanded.clear();
     }

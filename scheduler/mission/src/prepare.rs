@@ -444,7 +444,7 @@ impl Mission {
         let session = self.options.session_name();
         let (names, actions) = self.acts[index].promise(timing, &self.robots, session, shift_of);
         for (robot, id, script) in names {
-            self.robots[robot].requests.insert(id, script);
+            self.robots[robot].requests.add_script(id, script);
         }
         for member in self.acts[index].members() {
             let robot = &mut self.robots[member.robot];

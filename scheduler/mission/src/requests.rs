@@ -3,10 +3,13 @@
 
 use std::cmp::Reverse;
 
-use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, StatusValue, Timestamp};
+use urrcp::{
+    ControlResponse, DeviceId, ErrorCode, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
+};
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
+use super::open_requests::Answered;
 use super::record::Record;
 use super::robot_state::{Rest, SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
@@ -44,38 +47,80 @@ impl Mission {
     }
 
     fn control_response(&mut self, now: Timestamp<Server>, robot: RobotIndex, response: &ControlResponse) {
-        let acts = &self.acts;
-        let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
+        match self.answered_request(now, robot, response) {
+            Some(Answered::Stop(id)) => self.stop_answered(now, robot, &id, response),
+            Some(Answered::Reading(purpose)) => {
+                self.reading_taken(now, robot, response, purpose);
+                self.goes_on(now);
+            }
+            Some(Answered::Script(script)) => self.script_answered(now, robot, script, response),
+            None => {
+                self.robots[robot].exchanges.ignore();
+                tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
+            }
+        }
+    }
+
+    /// Returns the request that a response answers; `None` if it answers none. A response without an id belongs to a stop, to a script or
+    /// to a reading, whichever it can answer.
+    fn answered_request(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        response: &ControlResponse,
+    ) -> Option<Answered> {
+        if let Some(id) = &response.request_id {
+            return self.robots[robot].requests.answer_named(id);
+        }
+        let script = self.script_without_id(robot, response);
+        let state = &mut self.robots[robot];
+        let reported = script.filter(|_| state.reports());
+        if let Some(id) = state.stop_confirmed_without_id(now, response, reported) {
+            return Some(Answered::Stop(id));
+        }
+        match script {
+            Some(script) => Some(Answered::Script(script)),
+            // A refusal may belong to a reading or to a script.
+            None => state.requests.answer_oldest_reading(response).map(Answered::Reading),
+        }
+    }
+
+    /// Returns the script to which a response without an id may belong.
+    fn script_without_id(&self, robot: RobotIndex, response: &ControlResponse) -> Option<ScriptRef> {
+        let state = &self.robots[robot];
         // A stop also produces an `OK`. An `OK` is the end of a script only once the script can have ended.
         let meant = |script: &ScriptRef| {
-            !stopped || response.status != Status::Ok || {
-                let act = acts.iter().find(|act| act.number() == script.act);
+            !state.stop_was_sent() || response.status != Status::Ok || {
+                let act = self.acts.iter().find(|act| act.number() == script.act);
                 act.is_some_and(|act| act.can_have_ended(*script, response.timestamp))
             }
         };
-        let says = if reports { Says::ByItself } else { Says::Answers };
-        let open = |device: &DeviceId| open_without_name(acts, (robot, says), device, response).filter(meant);
-        let open_on = |device: &DeviceId| reports && open(device).is_some();
-        let unnamed = open(&response.device_id);
-        if self.robots[robot].stop_answered(now, response, open_on) {
-            self.stop_confirmed(now, robot);
-            self.stop_refused(robot);
-            self.ask_how_far_it_came(now, robot);
-            return self.stop_progress(now);
-        }
-        // Without an id, a refusal may belong to a reading or to a script.
-        let may_be_a_reading = unnamed.is_none() || response.status == Status::Provide;
-        if may_be_a_reading && self.reading_taken(now, robot, response) {
-            return self.goes_on(now);
-        }
-        let script = match &response.request_id {
-            Some(id) => self.robots[robot].requests.get(id).copied(),
-            None => unnamed,
-        };
-        let Some(script) = script else {
-            self.robots[robot].exchanges.ignore();
-            return tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
-        };
+        let says = if state.reports() { Says::ByItself } else { Says::Answers };
+        open_without_name(&self.acts, (robot, says), &response.device_id, response).filter(meant)
+    }
+
+    fn stop_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        id: &RequestId,
+        response: &ControlResponse,
+    ) {
+        self.robots[robot].stop_answered(id, response);
+        self.stop_confirmed(now, robot);
+        self.stop_refused(robot);
+        self.ask_how_far_it_came(now, robot);
+        self.stop_progress(now);
+    }
+
+    fn script_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        script: ScriptRef,
+        response: &ControlResponse,
+    ) {
+        let stopped = self.robots[robot].stop_was_sent();
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         if stopped && response.status == Status::Ok && names_nothing(response) {
             // It is unknown whether the script or the stop has ended.
@@ -98,11 +143,11 @@ impl Mission {
 
     /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
     fn rests_already(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
-        let stop = &mut self.robots[robot].stop;
-        if !matches!(stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
+        let state = &mut self.robots[robot];
+        if !matches!(state.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
             return;
         }
-        *stop = Stop::Confirmed(Rest::InPlace);
+        state.set_stop(Stop::Confirmed(Rest::InPlace));
         self.stop_confirmed(now, robot);
         if matches!(self.phase, Phase::Stopping { .. }) {
             self.stop_progress(now);
@@ -162,7 +207,9 @@ impl Mission {
         state.shift = shift.unwrap_or(state.shift);
         state.touched.insert(request.device_id.clone());
         state.at_rest = false;
-        state.requests.extend(request.request_id.clone().map(|id| (id, script)));
+        if let Some(id) = &request.request_id {
+            state.requests.add_script(id.clone(), script);
+        }
         self.send(now, robot, Message::ControlRequest(request));
         if keeps_limit {
             // A robot that already has the script keeps the limit of the earlier request, and only an inquiry extends that limit.
@@ -198,11 +245,11 @@ impl Mission {
     fn limit(&self, now: Timestamp<Server>, robot: RobotIndex, message: &mut Message) {
         let Message::ControlRequest(request) = message else { return };
         let state = &self.robots[robot];
-        let script = request.request_id.as_ref().and_then(|id| state.requests.get(id));
+        let script = request.request_id.as_ref().and_then(|id| state.requests.script(id));
         let Some(script) = script.filter(|_| state.takes_inquiries()) else { return };
         let act = self.acts.iter().find(|act| act.number() == script.act);
         let ahead = state.clock_at(now).map(|reading| reading.offset);
-        request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
+        request.pending_until = act.and_then(|act| act.pending_until(script, ahead));
     }
 
     /// Sends the messages that were deferred until an act was committed or withdrawn.

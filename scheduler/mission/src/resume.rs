@@ -151,7 +151,7 @@ impl Mission {
                 continue;
             }
             if kept.stopped.contains(id) {
-                self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+                self.robots[robot].set_stop(Stop::Confirmed(Rest::InPlace));
                 continue;
             }
             self.holds_still(robot, &left, now);
@@ -242,7 +242,7 @@ impl Mission {
         }
         for (robot, id, script) in act.all_names() {
             let robot = &mut self.robots[robot];
-            robot.requests.insert(id, script);
+            robot.requests.add_script(id, script);
             robot.touched.insert(act.script(script).plan.device.clone());
         }
         for member in act.members() {

@@ -251,7 +251,7 @@ impl Mission {
         }
         self.take_times(now, robot, sample);
         for report in &response.requests {
-            let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
+            let Some(script) = self.robots[robot].requests.script(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
             let was_lost = act.script(script).is_lost();
             let noted =

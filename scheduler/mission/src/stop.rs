@@ -1,7 +1,5 @@
 //! Stops robots: every device to which anything was sent gets an empty script and comes to rest.
 
-use std::collections::HashMap;
-
 use downbeat_plan::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
@@ -52,7 +50,7 @@ impl Mission {
         }
         self.phase = self.stopping_from(now, StoppedBy::Operator);
         for robot in other {
-            self.robots[robot].stop = Stop::None;
+            self.robots[robot].set_stop(Stop::None);
             self.stop_robot(now, robot, rest);
         }
         let by = self.said_stop.clone();
@@ -150,12 +148,13 @@ impl Mission {
             let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
             Some((id.ok()?, device.clone()))
         };
-        let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None, given_up: false });
+        let stops: Vec<_> = state.touched.iter().enumerate().filter_map(named).collect();
         self.end_leases(now, robot);
-        self.robots[robot].stop = stop;
-        self.robots[robot].at_rest = false;
-        self.robots[robot].rest_reported = false;
+        let state = &mut self.robots[robot];
+        state.set_stop(Stop::Sent(SentStop { at: now, rest, taken_over: None, given_up: false }));
+        stops.into_iter().for_each(|(id, device)| state.requests.add_stop(id, device));
+        state.at_rest = false;
+        state.rest_reported = false;
         self.send_stops(now, robot);
     }
 
@@ -188,7 +187,7 @@ impl Mission {
             Message::ControlRequest(request)
         };
         let mut requests: Vec<_> =
-            sent.unconfirmed.iter().map(|stop| (stop.0.as_str(), request(stop))).collect();
+            state.requests.stops().map(|stop| (stop.0.as_str(), request(stop))).collect();
         requests.sort_by(|a, b| a.0.cmp(b.0));
         let requests: Vec<_> = requests.into_iter().map(|(_, request)| request).collect();
         requests.into_iter().for_each(|request| self.post_urgently(now, robot, request));
@@ -219,7 +218,7 @@ impl Mission {
         let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
         match state.stop {
             Stop::Confirmed(rest) if doubted => {
-                state.stop = Stop::None;
+                state.set_stop(Stop::None);
                 self.stop_robot(now, robot, rest);
             }
             _ => self.repeat_stop(now, robot),

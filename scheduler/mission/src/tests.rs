@@ -168,7 +168,7 @@ fn reports_are_kept_up_to_twenty_thousand_rows() {
 #[test]
 fn stopped_robot_with_waiting_script_rests_when_its_pending_lease_ends() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     let member = &act.members()[MemberIndex::new(0)];
     let lease = act.timing().unwrap().lead.lease;
     let left = act.left_behind(member, 0, &mission.robots[R0], at(1));
@@ -628,7 +628,7 @@ fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Optio
 #[test]
 fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     let timing = act.timing().unwrap();
     for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
         let last_sent = timing.start - timing.lead.lease - before;
@@ -650,7 +650,7 @@ fn running_script_ends_by_its_running_lease_from_the_last_message() {
     let there = by_robot(at(3));
     mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it has ended");
 }
 
@@ -660,7 +660,7 @@ fn robot_has_nothing_left_of_ended_or_unsent_scripts() {
     let end = act.timing().unwrap().end;
     assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
     assert_eq!(left_at(&mission, &act, end), None, "its time is over");
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert!(left_at(&mission, &act, end).is_some(), "nobody knows when it began");
     let failed = urrcp::ControlResponse {
         error: super::bench::refusal(ErrorCode::Cancelled),
@@ -676,7 +676,7 @@ fn robot_has_nothing_left_of_ended_or_unsent_scripts() {
 
     let mut mission = begins_with(Everything, &[("a", 0, 400), ("a", 400, 400)]);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     let act = &mission.acts[0];
     assert_eq!(
         act.left_behind(&act.members()[MemberIndex::new(0)], 1, &mission.robots[R0], at(1)),

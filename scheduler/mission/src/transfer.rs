@@ -349,7 +349,7 @@ impl Mission {
         self.tell(told);
         self.continue_after_stop();
         for robot in rest {
-            self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+            self.robots[robot].set_stop(Stop::Confirmed(Rest::InPlace));
         }
         self.line_up_act(now, index);
         self.goes_on(now);
@@ -380,7 +380,8 @@ impl Mission {
         for robot in std::mem::take(&mut self.transfer.there) {
             let state = &mut self.robots[robot];
             if matches!(state.stop, Stop::None | Stop::Confirmed(_)) {
-                (state.stop, state.rest_reported) = (Stop::Confirmed(Rest::Home), true);
+                state.set_stop(Stop::Confirmed(Rest::Home));
+                state.rest_reported = true;
             }
         }
     }

@@ -338,7 +338,7 @@ fn leases_expired_during_a_machine_stall_are_no_robot_failures() {
         played.run_until(played.mission.acts[0].timing().unwrap().critical() - ms(40));
         let due = played.mission.acts[0].wakeup().unwrap();
         played.now = due + late;
-        let named = played.mission.robots[R0].requests.keys().next().cloned();
+        let named = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone());
         let mut ended = response(&DeviceId::new("a").unwrap(), named.as_ref(), Status::Failed, played.now);
         ended.error = Some(ran_out());
         played.happens(Event::Received { robot: R0, message: Message::ControlResponse(ended) });

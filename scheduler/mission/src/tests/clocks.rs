@@ -102,7 +102,7 @@ fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
 
 /// Replaces the process of the robot by one whose clock is ahead by `ahead`.
 fn is_replaced(played: &mut Played, ahead: Span) {
-    let scripts: Vec<_> = played.mission.robots[R0].requests.keys().cloned().collect();
+    let scripts: Vec<_> = played.mission.robots[R0].requests.scripts().map(|(id, _)| id.clone()).collect();
     scripts.iter().for_each(|script| played.loses(script));
     let reason = "it broke".to_owned();
     played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });

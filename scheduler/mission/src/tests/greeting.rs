@@ -189,11 +189,15 @@ fn only_a_seized_robot_out_of_place_is_read_again_one_reading_at_a_time() {
         mission.robots[R0].ownership = ownership.clone();
         mission.robots[R0].positions = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(1), R0);
-        assert_eq!(mission.robots[R0].reads.awaited().count(), reads, "{ownership:?} at {stands}");
+        assert_eq!(
+            mission.robots[R0].requests.awaited_readings().count(),
+            reads,
+            "{ownership:?} at {stands}"
+        );
         assert_eq!(mission.robots[R0].positions.len(), 1 - reads);
         mission.robots[R0].positions = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(2), R0);
-        assert_eq!(mission.robots[R0].reads.awaited().count(), reads, "its answer is awaited");
+        assert_eq!(mission.robots[R0].requests.awaited_readings().count(), reads, "its answer is awaited");
     }
 }
 
@@ -336,7 +340,7 @@ fn greeting_timeout_names_the_missing_step() {
             },
             Some("readings of its sensors"),
         ),
-        (|mission| mission.robots[R0].reads.clear(), None),
+        (|mission| mission.robots[R0].requests.clear_readings(), None),
     ];
     for count in 1..=reached.len() {
         let mut mission = asked();
@@ -756,9 +760,9 @@ fn excess_readings_of_past_act_waits_are_forgotten() {
     for millis in 1..1_024 {
         mission.read(at(millis), R0, sensor.clone(), Reading::Wait(ActNumber::new(0)));
     }
-    assert_eq!(mission.robots[R0].reads.len(), 1_024);
+    assert_eq!(mission.robots[R0].requests.readings_owed(), 1_024);
     mission.read(at(2_000), R0, sensor, Reading::Wait(ActNumber::new(1)));
-    let left: Vec<_> = mission.robots[R0].reads.awaited().collect();
+    let left: Vec<_> = mission.robots[R0].requests.awaited_readings().collect();
     assert!(
         left.len() == 2
             && left.contains(&&Reading::Requirement(0))
@@ -781,7 +785,7 @@ fn preflight_reads_positions_of_first_act_and_shows_unused_sensors() {
         let range = SensorRange::Above(50.0);
         mission.robots[R0].settings.require = vec![Requirement { sensor: "c".parse().unwrap(), range }];
         mission.read_positions(at(0), R0);
-        let reads: Vec<_> = mission.robots[R0].reads.awaited().cloned().collect();
+        let reads: Vec<_> = mission.robots[R0].requests.awaited_readings().cloned().collect();
         assert!(reads.contains(&Reading::Position("a".parse().unwrap())), "{reads:?}");
         let told = reads.iter().filter_map(|read| match read {
             Reading::Shown(device) => Some(device.as_str()),

@@ -65,7 +65,7 @@ fn reattached_robot_is_no_longer_awaited() {
 fn replaced(patience: Span) -> Played {
     let mut played = broken();
     played.mission.options.patience = patience;
-    let script = played.mission.robots[R0].requests.keys().next().cloned().unwrap();
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.mute.clear();
     played.happens(Event::LinkUp { robot: R0 });
@@ -97,7 +97,7 @@ fn confirmations(played: &Played) -> usize {
 fn stop_confirmed_by_a_process_not_yet_known_to_be_new_takes_effect_late() {
     let mut played = broken();
     played.mission.options.patience = RUNNING * 3;
-    let script = played.mission.robots[R0].requests.keys().next().cloned().unwrap();
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     played.mute.clear();
@@ -133,7 +133,7 @@ fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
     let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
     let mut played = Played::begun(mission);
     played.run_to_the_start();
-    let id = played.mission.robots[R0].requests.keys().next().cloned().unwrap();
+    let id = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&id);
     let (start, now) = (played.mission.acts[0].timing().unwrap().start, played.now);
     played.mission.inquire_now(now, R0);
@@ -177,7 +177,7 @@ fn longest_lease_of_the_lost_scripts_applies() {
 fn in_process_robot_is_moved_by_no_other_process() {
     let mut played = broken();
     played.mission.robots[R0].in_process = true;
-    let script = played.mission.robots[R0].requests.keys().next().cloned().unwrap();
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.mute.clear();
     played.happens(Event::LinkUp { robot: R0 });
@@ -221,7 +221,7 @@ fn playing_robot_may_be_silent_for_its_lease_and_a_round_trip() {
     };
     assert_eq!(bound(&mut played, 0), Some(RUNNING));
     assert_eq!(bound(&mut played, 200), Some(RUNNING + ms(200)));
-    played.mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    played.mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert_eq!(played.mission.silence_bound(played.now, R0), None, "it was stopped");
 }
 

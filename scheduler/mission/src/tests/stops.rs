@@ -129,7 +129,7 @@ fn robot_is_stopped_again_only_if_the_kind_of_stop_differs() {
     assert_eq!(otherwise(&mission), [false, true], "a robot that came to rest earlier still goes home");
     mission.stop_robot(at(1), R0, Rest::Home);
     assert_eq!(otherwise(&mission), [true, false]);
-    mission.robots[R0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert_eq!(otherwise(&mission), [false, true]);
 }
 
