@@ -142,7 +142,7 @@ class Relay:
 
 def start_robot(downbeat, link, folder, processes):
     """Makes the keys, and starts the robot."""
-    keys = lambda *arguments: program.run(downbeat, "keys", *arguments, folder=folder)
+    keys = lambda *arguments: program.run(downbeat, "keys", *arguments, "--keys", "keys", folder=folder)
     (folder / "robot.yaml").write_text(fleet.robot_with_id("r0"))
     keys("init")
     keys("operator", "dora", "--role", "stop")

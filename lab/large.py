@@ -102,11 +102,12 @@ class Place:
 
 
 def make_keys(downbeat, folder, robots):
-    program.run(downbeat, "keys", "init", folder=folder)
-    program.run(downbeat, "keys", "operator", "large", "--role", "observe,drive,stop", folder=folder)
+    keys = lambda *arguments: program.run(downbeat, "keys", *arguments, "--keys", "keys", folder=folder)
+    keys("init")
+    keys("operator", "large", "--role", "observe,drive,stop")
     for first in range(0, robots, KEYS_PER_COMMAND):
         names = [f"r{robot}" for robot in range(first, min(first + KEYS_PER_COMMAND, robots))]
-        program.run(downbeat, "keys", "robot", *names, folder=folder)
+        keys("robot", *names)
 
 
 def sum_of(figure, processes, *arguments):

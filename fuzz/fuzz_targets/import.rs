@@ -6,7 +6,7 @@
 
 use std::sync::LazyLock;
 
-use downbeat_import::{Course, ImportFormat, ImportOptions, Scenes, files_of, import_bytes, urdf};
+use downbeat_import::{Course, DescriptionOutcome, ImportFormat, ImportOptions, Scenes, files_of, fixture, import_bytes, urdf};
 use downbeat_scripts::{Source, init_of, render};
 use libfuzzer_sys::fuzz_target;
 
@@ -15,6 +15,7 @@ use libfuzzer_sys::fuzz_target;
 enum Format {
     Motions(ImportFormat),
     Urdf,
+    Fixture,
 }
 
 static ONLY: LazyLock<Option<Format>> = LazyLock::new(|| {
@@ -22,6 +23,7 @@ static ONLY: LazyLock<Option<Format>> = LazyLock::new(|| {
     match ImportFormat::ALL.iter().find(|known| known.word == word) {
         Some(known) => Some(Format::Motions(known.format)),
         None if word == "urdf" => Some(Format::Urdf),
+        None if word == "fixture" => Some(Format::Fixture),
         None => panic!("DOWNBEAT_FORMAT={word} is no format"),
     }
 });
@@ -34,15 +36,21 @@ fuzz_target!(|data: &[u8]| {
     };
     match format {
         Format::Motions(format) => check_motions(format, bytes),
-        Format::Urdf => check_urdf(bytes),
+        Format::Urdf => check_description(bytes, |source| urdf(source, None)),
+        Format::Fixture => {
+            check_description(bytes, |source| fixture(source, None, None));
+            check_description(bytes, |source| fixture(source, Some("m"), None));
+        }
     }
 });
 
 fn of_byte(which: u8) -> Format {
     let formats = ImportFormat::ALL;
-    match formats.get(usize::from(which) % (formats.len() + 1)) {
+    let index = usize::from(which) % (formats.len() + 2);
+    match formats.get(index) {
         Some(known) => Format::Motions(known.format),
-        None => Format::Urdf,
+        None if index == formats.len() => Format::Urdf,
+        None => Format::Fixture,
     }
 }
 
@@ -73,9 +81,10 @@ fn check_motions(format: ImportFormat, bytes: &[u8]) {
     }
 }
 
-fn check_urdf(bytes: &[u8]) {
+fn check_description(bytes: &[u8], convert: impl Fn(&Source) -> DescriptionOutcome) {
     let Ok(text) = String::from_utf8(bytes.to_vec()) else { return };
-    let outcome = urdf(&Source { name: "f".into(), text }, None);
+    let outcome = convert(&Source { name: "f".into(), text });
+    let _shown = render(&outcome.findings, false);
     assert_eq!(outcome.files.is_empty(), !outcome.findings.is_empty());
     if let Some(block) = outcome.files.first() {
         let source = Source { name: "block".into(), text: block.text.clone() };

@@ -74,13 +74,13 @@ pub use limits::{
     LimitError, OFFSET_MS_MAX, PARAMETERS_MAX, ROBOT_PARAMETERS_MAX, SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
 };
 pub use message::{
-    API_VERSION, AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest,
-    ControlResponse, ControlTypes, Device, DeviceReport, Devices, InitializationBlock, InitializationRequest,
-    Inquiry, InquiryResponse, Interpolation, Latency, Limits, Message, RequestReport, RequestState,
-    RevocationList, RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue,
-    Step, StopCondition,
+    API_VERSION, AvailabilityRequest, AvailabilityResponse, Channels, Command, ControlParameters,
+    ControlRequest, ControlResponse, ControlTypes, Device, DeviceReport, Devices, InitializationBlock,
+    InitializationRequest, Inquiry, InquiryResponse, Interpolation, Latency, Limits, Message, RequestReport,
+    RequestState, RevocationList, RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status,
+    StatusValue, Step, StopCondition,
 };
-pub use role::{Proof, Role, Roles};
+pub use role::{Proof, Role, Roles, UnknownRole};
 #[cfg(feature = "schema")]
 pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};

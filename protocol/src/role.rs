@@ -68,12 +68,17 @@ impl fmt::Display for Role {
     }
 }
 
-impl FromStr for Role {
-    type Err = String;
+/// The error for a text that is not the name of a role.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("unknown role `{0}`, expected observe, drive, stop or seize")]
+pub struct UnknownRole(pub String);
 
-    fn from_str(text: &str) -> Result<Self, String> {
+impl FromStr for Role {
+    type Err = UnknownRole;
+
+    fn from_str(text: &str) -> Result<Self, UnknownRole> {
         let known = Self::ALL.into_iter().find(|role| role.as_str() == text);
-        known.ok_or_else(|| format!("unknown role `{text}`, expected observe, drive, stop or seize"))
+        known.ok_or_else(|| UnknownRole(text.to_owned()))
     }
 }
 

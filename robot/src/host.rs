@@ -22,7 +22,7 @@ use urrcp::{ControlType, Device, InitializationBlock, KnownScripts, LINE_BYTES_M
 use self::audit::Audit;
 pub use self::audit::numbered as audit_file;
 use self::body::Body;
-use self::executor::{Order, Told, prepared_thread};
+use self::executor::{Destinations, Order, prepared_thread};
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
 use self::outbox::{Inbox, outbox};
@@ -208,7 +208,7 @@ impl Host {
             owners: watched.into(),
             longest: hosted.iter().map(|hosted| longest_command(hosted.block())).collect(),
         };
-        let told = Told {
+        let told = Destinations {
             log,
             owners,
             refusals: Arc::clone(&handle.refusals),

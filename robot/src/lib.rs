@@ -134,10 +134,10 @@ pub use host::{
 };
 pub use ids::LinkId;
 pub use peer::Peer;
-pub use plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};
+pub use plans::{ImpossibleReport, Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};
 #[cfg(feature = "host")]
 pub use refusals::{Reason, Refusals};
-pub use robot::{Input, Output, Robot, SetValue};
+pub use robot::{Input, Output, PlanReportError, Robot, SetValue};
 #[cfg(feature = "host")]
 pub use run::{RunError, run};
 #[cfg(feature = "host")]

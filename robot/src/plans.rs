@@ -12,6 +12,34 @@ use crate::ids::CommandId;
 use crate::late_steps::LateSteps;
 use crate::tolerance::Tolerance;
 
+/// Why a driver's report about a script cannot be true.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ImpossibleReport {
+    /// The reported time is later than the robot's clock, by this time.
+    #[error("the reported time is {0} in the future")]
+    InTheFuture(Span),
+    /// The reported time is earlier than the acceptance of the script, by this time.
+    #[error("the reported time is {0} before the script was accepted")]
+    BeforeAcceptance(Span),
+    /// The driver has reported a step or the end before it has reported the start.
+    #[error("progress was reported, but no start")]
+    NoStart,
+    /// The driver has reported the end before it has received all steps.
+    #[error("the end of the script was reported, but only {given} of its steps had been sent to the driver")]
+    EarlyEnd {
+        /// Number of steps that the driver has received.
+        given: usize,
+    },
+    /// The driver has reported a step that it has not received.
+    #[error("step {step} was reported, but only {given} of the script's steps had been sent to the driver")]
+    EarlyStep {
+        /// Index of the reported step.
+        step: u32,
+        /// Number of steps that the driver has received.
+        given: usize,
+    },
+}
+
 /// Identifies a script, or a single value, that a driver has received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlanId(pub u64);
@@ -253,28 +281,22 @@ impl Plan {
         now: Timestamp<Robot>,
         at: Timestamp<Robot>,
         event: &PlanEvent,
-    ) -> Result<Timestamp<Robot>, String> {
+    ) -> Result<Timestamp<Robot>, ImpossibleReport> {
         if at > now + GRAIN {
-            return Err(format!("the reported time is {} in the future", at - now));
+            return Err(ImpossibleReport::InTheFuture(at - now));
         }
         if at < self.held.accepted - GRAIN {
-            return Err(format!(
-                "the reported time is {} before the script was accepted",
-                self.held.accepted - at
-            ));
+            return Err(ImpossibleReport::BeforeAcceptance(self.held.accepted - at));
         }
         let at = at.min(now);
         match event {
             PlanEvent::Began => self.began = self.began.or(Some(at)),
             PlanEvent::Step(_) | PlanEvent::Done if !self.has_begun() => {
-                return Err("progress was reported, but no start".to_owned());
+                return Err(ImpossibleReport::NoStart);
             }
             PlanEvent::Step(step) => self.note_step(at, *step)?,
             PlanEvent::Done if self.held.time_of(self.given).is_some() => {
-                return Err(format!(
-                    "the end of the script was reported, but only {} of its steps had been sent to the driver",
-                    self.given
-                ));
+                return Err(ImpossibleReport::EarlyEnd { given: self.given });
             }
             PlanEvent::Done => {
                 self.done = self.done.or(Some(at));
@@ -291,13 +313,10 @@ impl Plan {
         Ok(at)
     }
 
-    fn note_step(&mut self, at: Timestamp<Robot>, step: u32) -> Result<(), String> {
+    fn note_step(&mut self, at: Timestamp<Robot>, step: u32) -> Result<(), ImpossibleReport> {
         let due = self.held.time_of(step as usize).filter(|_| (step as usize) < self.given);
         let Some(due) = due else {
-            return Err(format!(
-                "step {step} was reported, but only {} of the script's steps had been sent to the driver",
-                self.given
-            ));
+            return Err(ImpossibleReport::EarlyStep { step, given: self.given });
         };
         if step >= self.steps_done {
             self.steps_done = step + 1;

@@ -7,6 +7,8 @@ mod permission;
 mod planned;
 mod seize;
 
+pub use self::planned::PlanReportError;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use urrcp::{

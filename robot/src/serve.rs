@@ -80,8 +80,8 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
         let shared = shared.clone();
         // One task per connection, as with TCP.
         tokio::spawn(async move {
-            let ends = stream.split();
-            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
+            let (reader, writer) = stream.split();
+            if let Err(error) = carry(reader, writer, peer.clone(), link, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
         });
@@ -147,7 +147,8 @@ async fn admit(
     match shared.door.clone() {
         Door::Open => {
             let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-            carry(stream.into_split(), peer, link, ticket, shared).await
+            let (reader, writer) = stream.into_split();
+            carry(reader, writer, peer, link, ticket, shared).await
         }
         #[cfg(feature = "tls")]
         Door::Tls(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
@@ -192,7 +193,8 @@ where
     if !shared.keys.contains(&proof) {
         return Err(io::Error::other("the key has become invalid"));
     }
-    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared).await;
+    let (reader, writer) = tokio::io::split(stream);
+    let carried = carry(reader, writer, peer.clone(), link, ticket, shared).await;
     carried.inspect_err(|error| {
         if is_altered(error) {
             refusals.note(Reason::Altered, &peer);

@@ -101,7 +101,7 @@ enum InFlight {
     Out(Outgoing),
 }
 
-type LaneId = (LinkId, Way);
+type LaneId = (LinkId, Direction);
 
 /// State of one direction of one link. Messages keep their order, as with TCP. The entry is removed once no message is in flight.
 #[derive(Clone, Debug)]
@@ -293,9 +293,9 @@ impl SimulatedRobot {
     /// Sends an input to the robot at `now`; it arrives after the link's delay.
     pub fn receive(&mut self, now: Timestamp<True>, link: LinkId, input: Input) {
         if self.gone {
-            return self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
+            return self.dispatch(now, (link, Direction::Out), InFlight::Out(Outgoing::Close { link }));
         }
-        self.dispatch(now, (link, Way::In), InFlight::In(link, input));
+        self.dispatch(now, (link, Direction::In), InFlight::In(link, input));
     }
 
     /// Executes everything due at or before `now`: the state machine's own events, and the arrival of messages. At the same instant, the
@@ -468,7 +468,7 @@ impl SimulatedRobot {
                     self.send(now, link, message);
                     if hangs_up {
                         self.gone = true;
-                        self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
+                        self.dispatch(now, (link, Direction::Out), InFlight::Out(Outgoing::Close { link }));
                     }
                 }
             }
@@ -503,7 +503,11 @@ impl SimulatedRobot {
             *sent = *sent + error;
         }
         let Some(delay) = self.sensor_delay(&message) else {
-            return self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
+            return self.dispatch(
+                now,
+                (link, Direction::Out),
+                InFlight::Out(Outgoing::Message { link, message }),
+            );
         };
         if let Message::ControlResponse(response) = &mut message {
             response.timestamp = response.timestamp + delay;
@@ -511,7 +515,7 @@ impl SimulatedRobot {
         // Responses without a reading do not wait for the sensor.
         self.dispatch(
             now + delay,
-            (link, Way::OutOfSensor),
+            (link, Direction::OutOfSensor),
             InFlight::Out(Outgoing::Message { link, message }),
         );
     }
@@ -627,7 +631,7 @@ impl SimulatedRobot {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Way {
+enum Direction {
     In,
     Out,
     OutOfSensor,

@@ -88,7 +88,7 @@ pub fn plan_approach(
     let uses = choreography.first_uses(to);
     let firsts = uses.iter().filter_map(|first| choreography.first_position(*first));
     let ways = ways_to(choreography, firsts, fleet, from);
-    let mut ahead = transfer(choreography, NAME, (to, ways), fleet, from)?;
+    let mut ahead = transfer(choreography, NAME, to, ways, fleet, from)?;
     if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
         ahead.wait = Wait::Operator;
     }

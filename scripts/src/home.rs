@@ -35,7 +35,7 @@ pub fn plan_home(
     fleet: &Fleet,
     from: &Positions,
 ) -> Result<Option<Act>, Vec<Finding>> {
-    let mut act = transfer(choreography, NAME, (like, ways(fleet, from)), fleet, from)?;
+    let mut act = transfer(choreography, NAME, like, ways(fleet, from), fleet, from)?;
     if let Some(act) = &mut act {
         act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
     }
@@ -46,7 +46,8 @@ pub fn plan_home(
 pub(crate) fn transfer(
     choreography: &Choreography,
     name: &str,
-    (like, ways): (usize, Vec<DeviceWay<'_>>),
+    like: usize,
+    ways: Vec<DeviceWay<'_>>,
     fleet: &Fleet,
     from: &Positions,
 ) -> Result<Option<Act>, Vec<Finding>> {

@@ -40,14 +40,14 @@ use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    budget, composed, duration, files, finding, identify, locate, node, render, source, tags,
+    budget, composed, duration, files, finding, identify, locate, node, render, source, syntax, tags,
 };
 
 pub use approach::{Approach, add_approach, plan_approach};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
-pub use downbeat_fleet::address::{Address, InvalidAddress, Protection};
+pub use downbeat_fleet::address::{Address, DmxAddress, DmxProtocol, InvalidAddress, OscAddress, Protection};
 pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
@@ -76,6 +76,7 @@ pub use downbeat_space::space::{
 pub use downbeat_yaml::duration::parse_duration;
 pub use downbeat_yaml::files::{Files, Folder, NoFiles};
 pub use downbeat_yaml::finding::{Code, Finding, Related, Severity};
+pub use downbeat_yaml::home::{abbreviate_home, expand_home};
 pub use downbeat_yaml::open::open;
 pub use downbeat_yaml::project::Project;
 pub use downbeat_yaml::refusal::{Attempt, Refusal};
@@ -91,7 +92,8 @@ pub use schema::{Schema, all_maps, schema};
 #[doc(hidden)]
 pub use {
     downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,
-    downbeat_yaml::finding::did_you_mean, downbeat_yaml::render::counted,
+    downbeat_yaml::finding::did_you_mean, downbeat_yaml::finding::robots_named,
+    downbeat_yaml::render::counted,
 };
 
 #[cfg(test)]

@@ -106,7 +106,11 @@ fn every_import_format_has_documentation_row_and_fuzzer_seed() {
             facts.word
         );
     }
-    assert_eq!(byte("urdf"), downbeat_import::ImportFormat::ALL.len(), "the first byte of the seed `urdf`");
+    let motions = downbeat_import::ImportFormat::ALL.len();
+    for (index, word) in (motions..).zip(["urdf", "fixture"]) {
+        assert!(document.contains(&format!("\n| `{word}` | ")), "docs/import.md has no row of `{word}`");
+        assert_eq!(byte(word), index, "the first byte of the seed `{word}`");
+    }
 }
 
 #[test]
@@ -255,6 +259,21 @@ fn robot_description_in_edge_document_is_valid() {
     session.file("fleet.yaml", "robots: {tank-1: {init: robot.yaml, address: sim}}\n");
     let cue = "{cue: turn, at: 0s, robots: tank-1, tracks: {turret: [{at: 0s, to: 0}, {at: 1s, to: 45}]}, read: {turret_angle: 1s}}";
     session.file("show.yaml", format!("scenario: show\ncues:\n  - {cue}\n"));
+    session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
+}
+
+#[test]
+fn fixture_in_lights_document_is_valid_and_can_be_addressed() {
+    let descriptions = blocks(&read("docs/lights.md"), "```yaml fixture");
+    assert_eq!(descriptions.len(), 1);
+    let session = Session::new();
+    session.file("spot.yaml", &descriptions[0]);
+    session.file("fleet.yaml", "robots: {spot-1: {init: spot.yaml, address: \"sacn:1/13\"}}\n");
+    let tracks = "{dimmer: [{at: 0s, to: 0}, {at: 1s, to: 100}], color: [{at: 0s, to: [255, 0, 0]}]}";
+    session.file(
+        "show.yaml",
+        format!("scenario: show\ncues:\n  - {{cue: light, robots: spot-1, tracks: {tracks}}}\n"),
+    );
     session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
 }
 

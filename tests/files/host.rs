@@ -266,6 +266,50 @@ fn files_outside_project_are_not_read_when_named_by_other_files() {
 }
 
 #[test]
+fn no_line_of_a_file_that_is_named_by_mistake_is_quoted() {
+    for text in [
+        "password: \"hunter2\nuser: anna\n",
+        "the password: is: hunter2\n",
+        "user: hunter1\n  password: hunter2\n",
+        "{\"user\": \"hunter1\", \"password\": \"hunter2}\n",
+        "user: hunter1\npassword: hunter2\n",
+        "- hunter2: 3\n- a: *hunter1\n",
+        "- hunter2: 3\n",
+        "hunter2",
+    ] {
+        for file in ["fleet.yaml", "arm.yaml", "parts.yaml"] {
+            let session = session();
+            session
+                .file("show.yaml", format!("include: parts.yaml\n{SHOW}"))
+                .file("parts.yaml", "moves: {}\n");
+            session.file(file, text);
+            for args in [&["check", "show.yaml"][..], &["check", "show.yaml", "--format", "json"]] {
+                let ran = Ran(session.command(args).output().unwrap());
+                assert!(
+                    matches!(ran.code(), 1 | 2) && ran.text().contains(file),
+                    "{file}: {text}: {}",
+                    ran.text()
+                );
+                assert!(!ran.text().contains("hunter"), "{file}: {text}: {}", ran.text());
+            }
+        }
+    }
+}
+
+#[test]
+fn line_of_a_broken_file_of_the_show_is_quoted() {
+    for (file, text, line) in [
+        ("fleet.yaml", "robots: {left: {init: arm.yaml, address: \"sim}}\n", "fleet.yaml:1:42"),
+        ("arm.yaml", "id: arm\ndevices: [{id: a\n", "arm.yaml:2:"),
+        ("parts.yaml", "moves:\n  bow: [a\n", "parts.yaml:2:"),
+    ] {
+        let session = session();
+        session.file("show.yaml", format!("include: parts.yaml\n{SHOW}")).file("parts.yaml", "moves: {}\n");
+        session.file(file, text).run(&["check", "show.yaml"]).says(1, &[line, text.lines().last().unwrap()]);
+    }
+}
+
+#[test]
 fn operator_can_widen_project_with_option() {
     let session = outside(&FLEET.replace("arm.yaml", "../arm.yaml"), SHOW);
     let check = |args: &[&str]| {
@@ -311,6 +355,7 @@ fn pipe_or_device_instead_of_file_is_refused_immediately() {
     named(&["preflight", "show.yaml", "--require-certificate", "pipe"]);
     named(&["import", "midi", "pipe"]);
     named(&["import", "urdf", "pipe"]);
+    named(&["import", "fixture", "pipe"]);
 }
 
 #[test]

@@ -167,6 +167,31 @@ fn imported_urdf_becomes_robot_usable_in_scenario() {
 }
 
 #[test]
+fn imported_light_becomes_robot_usable_in_scenario() {
+    let session = Session::new();
+    let spot = fixture("spot.json");
+    import(&session, &["fixture", &spot, "--mode", "18ch"]).says(
+        0,
+        &["id: stage-spot-150", "  - id: pan\n", "channel: [1, 2]", "min_value: -270", "13 devices"],
+    );
+    import(&session, &["fixture", &spot, "--mode", "Extended", "--kind", "spot", "--output", "out"])
+        .says(0, &["wrote out/robots/spot.yaml"]);
+    let scenario = |value: &str| {
+        format!(
+            "scenario: s\nfleet: fleet.yaml\ncues:\n  - robots: spot\n    tracks:\n      pan: [{{at: 0s, to: 0}}, {{at: 3s, to: {value}}}]\n      shutter: [{{at: 0s, to: 10}}]\n"
+        )
+    };
+    session.file("out/scenario.yaml", scenario("271"));
+    session.run(&["check", "out/scenario.yaml"]).says(1, &["DB0011", "-270 to 270"]);
+    session.file("out/scenario.yaml", scenario("-270"));
+    session.run(&["check", "out/scenario.yaml"]).says(0, &["no errors"]);
+    let json = import(&session, &["fixture", &spot, "--mode", "6ch", "--format", "json"]).json();
+    assert_eq!((&json["devices"], json["text"].is_string()), (&6.into(), true));
+    import(&session, &["fixture", &spot, &spot]).says(2, &["fixture takes one file at a time"]);
+    import(&session, &["urdf", &spot, "--mode", "6ch"]).says(2, &["--mode applies only to fixture"]);
+}
+
+#[test]
 fn clock_times_are_accepted_only_if_unambiguous() {
     let session = Session::new();
     let args = ["csv", "log.csv", "--time", "t", "--map", "arm/a=a"];

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use downbeat_import::{
-    DeviceMotion, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, steps_written,
+    DeviceMotion, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, fixture, steps_written,
 };
+use downbeat_scripts::{Source, init_of};
 
 use stage::session::{Session, root};
 use urrcp::Span;
@@ -291,4 +292,51 @@ fn yaml_tags_of_other_programs_are_rejected() {
         );
         assert!(!refused.findings.is_empty());
     }
+}
+
+/// Returns all fixtures of the Open Fixture Library.
+fn fixtures(data: &Path) -> Vec<PathBuf> {
+    let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let folders = entries(&data.join("open-fixture-library/fixtures")).filter(|path| path.is_dir());
+    folders.flat_map(|folder| entries(&folder).collect::<Vec<_>>()).collect()
+}
+
+#[test]
+fn all_modes_of_all_fixtures_are_imported() {
+    let Some(data) = data() else { return };
+    let (mut modes, mut devices, mut redirects, mut files) = (0, 0, 0, 0);
+    for path in fixtures(&data) {
+        let source = Source::read(&path).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&source.text).unwrap();
+        files += 1;
+        if json.get("redirectTo").is_some() {
+            let refused = fixture(&source, None, None);
+            assert!(refused.findings[0].message.contains("only redirects"), "{:?}", refused.findings);
+            redirects += 1;
+            continue;
+        }
+        for mode in json["modes"].as_array().unwrap() {
+            let name = mode["name"].as_str().unwrap();
+            let outcome = fixture(&source, Some(name), None);
+            assert_eq!(outcome.findings, [], "{} {name}", path.display());
+            let block = Source { name: "block.yaml".into(), text: outcome.files[0].text.clone() };
+            let block =
+                init_of(&block).unwrap_or_else(|found| panic!("{} {name}: {found:?}", path.display()));
+            assert_eq!(block.devices.len(), outcome.devices);
+            for device in block.devices.iter() {
+                let limits = device.available_control_types.limits(urrcp::ControlType::Position).unwrap();
+                let default = device.default_value.unwrap();
+                assert!(
+                    limits.contains(default) && limits.on_grid(default),
+                    "{} {}",
+                    path.display(),
+                    device.id
+                );
+            }
+            modes += 1;
+            devices += outcome.devices;
+        }
+    }
+    let counts = format!("{files} files, {redirects} redirects, {modes} modes, {devices} devices");
+    assert!(files >= 600 && modes > files && devices > modes, "{counts}");
 }

@@ -243,13 +243,29 @@ struct WrittenScript {
     control_types: Option<Vec<ControlType>>,
 }
 
+/// The reason why the parameters of a script are incomplete or invalid.
+#[derive(Debug, thiserror::Error)]
+enum InheritError {
+    #[error(transparent)]
+    Limits(#[from] LimitError),
+    #[error(
+        "missing field `{key}` of script: it cannot be inherited, because the device's control types have different limits"
+    )]
+    Ambiguous { key: &'static str },
+    #[error("missing field `{key}` of script: the device has no control type to inherit it from")]
+    NoSource { key: &'static str },
+}
+
 impl WrittenScript {
     /// Inherits omitted parameters from the control type that the script supports. If the script supports several control types with
     /// different limits, it inherits nothing.
-    fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
+    fn inherit(
+        self,
+        types: &BTreeMap<ControlType, ControlParameters>,
+    ) -> Result<ScriptParameters, InheritError> {
         let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
         if max_number_of_steps == 0 {
-            return Err(LimitError::NoneAtAll { key: "max_number_of_steps" }.to_string());
+            return Err(LimitError::NoneAtAll { key: "max_number_of_steps" }.into());
         }
         let supported = |control_type: &ControlType| {
             control_types.as_ref().is_none_or(|listed| listed.contains(control_type))
@@ -260,15 +276,11 @@ impl WrittenScript {
         });
         let first = all.next();
         let ambiguous = all.any(|other| Some(other) != first);
-        let from = |key: &str, own: Option<f64>, inherited: fn(&Limits) -> f64| match (own, first) {
+        let from = |key, own: Option<f64>, inherited: fn(&Limits) -> f64| match (own, first) {
             (Some(own), _) => Ok(own),
-            (None, Some(_)) if ambiguous => Err(format!(
-                "missing field `{key}` of script: it cannot be inherited, because the device's control types have different limits"
-            )),
+            (None, Some(_)) if ambiguous => Err(InheritError::Ambiguous { key }),
             (None, Some(limits)) => Ok(inherited(limits)),
-            (None, None) => Err(format!(
-                "missing field `{key}` of script: the device has no control type to inherit it from"
-            )),
+            (None, None) => Err(InheritError::NoSource { key }),
         };
         let complete = min_value.is_some() && max_value.is_some() && granularity.is_some();
         let raw = RawLimits {
@@ -277,7 +289,7 @@ impl WrittenScript {
             granularity: from("granularity", granularity, |limits| limits.granularity)?,
             max_error: max_error.or_else(|| first.filter(|_| !complete).and_then(|limits| limits.max_error)),
         };
-        let limits = Limits::try_from(Object(raw)).map_err(|error| error.to_string())?;
+        let limits = Limits::try_from(Object(raw))?;
         Ok(ScriptParameters { limits, max_number_of_steps, control_types })
     }
 }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Setpoint;
+use super::channels::Channels;
 use super::control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
 use super::latency::{self, Latency};
 use crate::control_type::ControlType;
@@ -59,6 +60,9 @@ pub struct Device {
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency_spread: Option<Span>,
+    /// The device's channels, for a robot that is a DMX fixture (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channel: Option<Channels>,
     /// The control types by which the device can be driven or read.
     pub available_control_types: ControlTypes,
 }
@@ -92,6 +96,7 @@ impl Device {
             script_queue: one_script(),
             latency: None,
             latency_spread: None,
+            channel: None,
             available_control_types: ControlTypes::default(),
         }
     }

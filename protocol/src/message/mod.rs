@@ -1,6 +1,7 @@
 //! The eight messages of the protocol. On the wire, each is an object with exactly one key, which names the message.
 
 mod availability;
+mod channels;
 mod control_request;
 mod control_response;
 mod control_types;
@@ -20,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::object;
 
 pub use availability::{AvailabilityRequest, AvailabilityResponse, RevocationList};
+pub use channels::Channels;
 pub(crate) use control_request::OfUnknownType;
 pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};

@@ -271,9 +271,13 @@ fn initialization_block() -> impl Strategy<Value = InitializationBlock> {
             script["max_number_of_steps"] = steps.into();
             let sensor = json!({"min_value": 0, "max_value": 0.1, "max_delay": 2.5});
             let types = json!({"speed": limits, "script": script, "sensor": sensor, "custom_7": custom});
+            let channels = [json!(null), json!(5), json!([5, 6]), json!([1, [2, 3], 4])];
+            let channel = &channels[(steps % 4) as usize];
             json!({"name": name, "default_value": default_value, "interpolation": "linear",
                 "script_queue": steps, "latency": default.map(|_| f64::from(steps % 16_001) / 1.6),
-                "latency_spread": default.and_then(|upper| upper.then_some(steps % 100)), "available_control_types": types})
+                "latency_spread": default.and_then(|upper| upper.then_some(steps % 100)),
+                "channel": channel,
+                "available_control_types": types})
         },
     );
     (text(), option::of(text()), any::<bool>(), vec(device, 1..4)).prop_map(|(id, name, reports, devices)| {

@@ -8,7 +8,7 @@ use urrcp::{
     SessionId, Span, Status, StatusValue, Timestamp,
 };
 
-use crate::judge::{Asked, Judge, is_refused};
+use crate::judge::{Judge, ReceivedRequest, is_refused};
 use crate::model::{DeviceModel, Order, cancels_from, start_of};
 use crate::{Violation, hold};
 
@@ -23,7 +23,7 @@ impl Judge {
     pub(crate) fn answered(
         &mut self,
         now: Now,
-        asked: &Asked<'_>,
+        asked: &ReceivedRequest<'_>,
         answer: &ControlResponse,
     ) -> Result<(), Violation> {
         let request = asked.request;
@@ -71,7 +71,7 @@ impl Judge {
     fn accepted(
         &mut self,
         now: Now,
-        asked: &Asked<'_>,
+        asked: &ReceivedRequest<'_>,
         answer: &ControlResponse,
     ) -> Result<HashSet<usize>, Violation> {
         let request = asked.request;
@@ -144,7 +144,7 @@ impl Judge {
     fn refused(
         &mut self,
         now: Now,
-        asked: &Asked<'_>,
+        asked: &ReceivedRequest<'_>,
         answer: &ControlResponse,
     ) -> Result<HashSet<usize>, Violation> {
         let request = asked.request;

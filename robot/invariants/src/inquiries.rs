@@ -2,8 +2,7 @@
 
 use downbeat_robot::{LinkId, Output};
 use urrcp::{
-    ErrorCode, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport, RequestState, Status,
-    Timestamp,
+    ErrorCode, Inquiry, InquiryResponse, Message, RequestId, RequestReport, RequestState, Status, Timestamp,
 };
 
 use crate::judge::Judge;
@@ -51,8 +50,7 @@ impl Judge {
             known.map(|device| (&device.spec.id, device.spec.script_queue as usize - device.queue.len()));
         let told = answer.devices.iter().map(|device| (&device.device_id, device.room as usize));
         hold(room.eq(told), || format!("the room {:?}", answer.devices))?;
-        let limits = (inquiry.pending_lease, inquiry.pending_until);
-        inquiry.requests.iter().for_each(|id| self.limit(party, id, limits));
+        inquiry.requests.iter().for_each(|id| self.limit(party, id, inquiry));
         Ok(())
     }
 
@@ -99,10 +97,10 @@ impl Judge {
         *report == ended || forgotten && *report == unknown
     }
 
-    fn limit(&mut self, party: Party, id: &RequestId, (lease, until): (Option<Millis>, Option<Now>)) {
+    fn limit(&mut self, party: Party, id: &RequestId, inquiry: &Inquiry) {
         let orders = self.devices.values_mut().flat_map(|device| &mut device.queue);
         let named =
             |order: &&mut Order| order.id.as_ref() == Some(id) && order.party == party && !order.began;
-        orders.filter(named).for_each(|order| order.limit(lease, until));
+        orders.filter(named).for_each(|order| order.limit(inquiry.pending_lease, inquiry.pending_until));
     }
 }

@@ -8,7 +8,7 @@ use urrcp::{
     Interpolation, Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
-use crate::model::{DeviceModel, Heard, Order, Party, START_LATE_MAX, Way, cancels_from};
+use crate::model::{DeviceModel, Heard, Order, Party, START_LATE_MAX, SignalMovement, cancels_from};
 use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
@@ -52,8 +52,17 @@ impl Lost {
     }
 }
 
+/// What may have brought a device to rest.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum RestCause {
+    /// A request, or the end of a lease.
+    Request,
+    /// Only the end of a lease.
+    Lease,
+}
+
 /// A request and its sender.
-pub(crate) struct Asked<'a> {
+pub(crate) struct ReceivedRequest<'a> {
     link: LinkId,
     pub(crate) party: Party,
     pub(crate) request: &'a ControlRequest,
@@ -126,7 +135,7 @@ impl Judge {
                 }
             }
         }
-        self.check_lost(true)?;
+        self.check_lost(RestCause::Request)?;
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
     }
@@ -163,10 +172,15 @@ impl Judge {
                 });
             }
         }
-        self.judge(now, out, Some(&Asked { link, party, request }))
+        self.judge(now, out, Some(&ReceivedRequest { link, party, request }))
     }
 
-    fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
+    fn judge(
+        &mut self,
+        now: Now,
+        out: &[Output],
+        asked: Option<&ReceivedRequest<'_>>,
+    ) -> Result<(), Violation> {
         self.begin_untold(now);
         self.forget_the_last();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
@@ -193,14 +207,14 @@ impl Judge {
         hold(answers == usize::from(asked.is_some()), || {
             format!("wrong number of answers, {answers}, expected one for each request: {out:?}")
         })?;
-        self.check_lost(asked.is_some())?;
+        self.check_lost(asked.map_or(RestCause::Lease, |_| RestCause::Request))?;
         self.begin_untold(now);
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
     }
 
     /// Checks the effects of ended leases: no order that a lease ends is left, and devices come to rest when they must.
-    fn check_lost(&self, asked: bool) -> Result<(), Violation> {
+    fn check_lost(&self, cause: RestCause) -> Result<(), Violation> {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
             hold(left.is_none(), || {
@@ -210,7 +224,7 @@ impl Judge {
         for id in &self.rested {
             let lost = self.lost.get(id).copied().unwrap_or_default();
             let began = self.devices.get(id).is_some_and(|d| d.queue.iter().any(|order| order.began));
-            let due = asked || lost.everything;
+            let due = cause == RestCause::Request || lost.everything;
             hold(due && !began, || {
                 format!(
                     "`{id}` was brought to rest without a reason: ended leases {lost:?}, command running {began}"
@@ -262,9 +276,9 @@ impl Judge {
         hold_lease(order, heard, set, step)?;
         let way = match &set.motion {
             Motion::Ramp { from, to, until, .. } => {
-                Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: false }
+                SignalMovement { from: *from, since: set.due, to: *to, until: *until, is_slowing: false }
             }
-            _ => Way::at(setpoint.value, set.due),
+            _ => SignalMovement::at(setpoint.value, set.due),
         };
         device.drive(setpoint.control_type, way);
         if matches!(set.motion, Motion::Set(_)) {
@@ -365,9 +379,9 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
     })?;
     let way = match &set.motion {
         Motion::Slow { from, to, until, .. } => {
-            Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: true }
+            SignalMovement { from: *from, since: set.due, to: *to, until: *until, is_slowing: true }
         }
-        _ => Way::at(to, set.due),
+        _ => SignalMovement::at(to, set.due),
     };
     device.ways.insert(control_type, way);
     device.released.append(&mut device.guards);
@@ -376,7 +390,7 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
 
 /// Whether a motion only ends movements: a moving position stays where it is or continues in its direction, and a rate (such as a speed)
 /// changes to its value at rest.
-fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
+fn stays(device: &DeviceModel, before: Option<SignalMovement>, set: &SetValue) -> bool {
     const ROUNDING: f64 = 1e-6;
     match &set.motion {
         Motion::Rest(rest) if rest.control_type == ControlType::Position => before.is_some_and(|way| {

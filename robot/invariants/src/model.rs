@@ -209,7 +209,7 @@ impl Guard {
 
 /// The last movement of a signal (one control type of a device), from its start to its target.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Way {
+pub(crate) struct SignalMovement {
     pub(crate) from: f64,
     pub(crate) since: Now,
     pub(crate) to: f64,
@@ -218,7 +218,7 @@ pub(crate) struct Way {
     pub(crate) is_slowing: bool,
 }
 
-impl Way {
+impl SignalMovement {
     pub(crate) const fn at(value: f64, now: Now) -> Self {
         Self { from: value, since: now, to: value, until: now, is_slowing: false }
     }
@@ -247,7 +247,7 @@ pub(crate) struct DeviceModel {
     /// Guards (leases of continuing rates) that a stop has just ended. The robot's reports about their end follow.
     pub(crate) released: Vec<Guard>,
     /// Last movement of each signal, by control type.
-    pub(crate) ways: BTreeMap<ControlType, Way>,
+    pub(crate) ways: BTreeMap<ControlType, SignalMovement>,
     /// Sending time of a message: stops have cancelled all messages that were sent up to this time, by any sender.
     pub(crate) taken_back: Option<Timestamp<Server>>,
     /// Sending time of a message: stops may have cancelled messages that were sent up to this time, but none that were sent later.
@@ -275,7 +275,7 @@ impl DeviceModel {
     }
 
     /// Records a movement of a signal. The lease of the signal's previous command no longer covers the signal.
-    pub(crate) fn drive(&mut self, control_type: ControlType, way: Way) {
+    pub(crate) fn drive(&mut self, control_type: ControlType, way: SignalMovement) {
         self.ways.insert(control_type, way);
         for guard in &mut self.guards {
             guard.rates.retain(|rate| *rate != control_type);

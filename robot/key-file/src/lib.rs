@@ -1,5 +1,6 @@
 //! Reads files that contain a key, and refuses those that other users can read. Watches files that are replaced while they are in use.
 
+mod number;
 mod replaced;
 mod watched;
 
@@ -33,6 +34,16 @@ pub enum KeyFileError {
         path: PathBuf,
         /// Permission bits of the file.
         mode: u32,
+    },
+    /// A later version of the file was in use before.
+    #[error("{}: this is list {number}, but list {latest} was already in use here; copy the latest list of the authority to this path, or delete {} if you have replaced the authority", path.display(), number::file_of(path).display())]
+    Older {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of the version in the file.
+        number: u64,
+        /// Largest number of all versions that were in use.
+        latest: u64,
     },
 }
 

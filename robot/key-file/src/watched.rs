@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{read_regular, replace};
+use super::{KeyFileError, number, read_regular, replace};
 
 /// Identifies a version of a file. Programs cannot set the time of the last status change (`ctime`). Therefore a change of the content
 /// changes the stamp even if the modification time remains the same.
@@ -36,6 +36,18 @@ impl Stamp {
 pub trait Versioned {
     /// Whether this version was made before the other one.
     fn is_older_than(&self, other: &Self) -> bool;
+
+    /// Returns the number of this version. A newer version has a larger number. `None` if the number does not fit into 64 bits.
+    fn number(&self) -> Option<u64>;
+
+    /// Returns this version with everything from the previous one that must remain in force.
+    #[must_use]
+    fn after(self, _previous: &Self) -> Self
+    where
+        Self: Sized,
+    {
+        self
+    }
 }
 
 /// The content of a file. [`Watched::refresh`] reads the file again if it has changed. An older or unusable version does not replace the
@@ -44,6 +56,8 @@ pub trait Versioned {
 pub struct Watched<T> {
     path: PathBuf,
     latest: Mutex<Latest<T>>,
+    /// Whether the largest number of all versions in use is stored next to the file.
+    stores_number: bool,
 }
 
 #[derive(Debug)]
@@ -62,7 +76,22 @@ impl<T: Versioned> Watched<T> {
         // The stamp is taken before the file is read: if the file changes in between, `refresh` reads it again.
         let seen = Stamp::of(path);
         let content = Arc::new(read(path)?);
-        Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }) })
+        Ok(Self { path: path.into(), latest: Mutex::new(Latest { seen, content }), stores_number: false })
+    }
+
+    /// Refuses versions that are older than one that was in use before the process started. For this purpose, stores the largest number
+    /// of all versions in use next to the file, in `revoked.pem.number` for `revoked.pem`. If this file is missing, damaged or cannot be
+    /// written, logs that.
+    ///
+    /// # Errors
+    /// [`KeyFileError::Older`]: the version in use is such an older version.
+    pub fn storing_number(mut self) -> Result<Self, KeyFileError> {
+        if let Some(number) = self.latest().number() {
+            number::check(&self.path, number)?;
+            number::raise(&self.path, number);
+        }
+        self.stores_number = true;
+        Ok(self)
     }
 
     /// Returns the path of the file.
@@ -88,7 +117,7 @@ impl<T: Versioned> Watched<T> {
                         self.path.display()
                     );
                 }
-                Ok(content) => latest.content = Arc::new(content),
+                Ok(content) => latest.content = self.used(content.after(&latest.content)),
                 Err(error) => tracing::warn!("{error}; the previous version remains in use"),
             }
         }
@@ -112,9 +141,17 @@ impl<T: Versioned> Watched<T> {
                 .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
             // Makes `refresh` read the file again, because another process may have replaced it meanwhile.
             latest.seen = None;
-            latest.content = Arc::new(content);
+            latest.content = self.used(content.after(&latest.content));
         }
         Ok(())
+    }
+
+    /// Stores the number of a version that will be used.
+    fn used(&self, content: T) -> Arc<T> {
+        if let Some(number) = content.number().filter(|_| self.stores_number) {
+            number::raise(&self.path, number);
+        }
+        Arc::new(content)
     }
 
     fn lock(&self) -> MutexGuard<'_, Latest<T>> {
@@ -130,6 +167,10 @@ mod tests {
         fn is_older_than(&self, other: &Self) -> bool {
             self < other
         }
+
+        fn number(&self) -> Option<u64> {
+            Some(u64::from(*self))
+        }
     }
 
     fn read(path: &Path) -> Result<u32, String> {
@@ -143,6 +184,7 @@ mod tests {
     impl Drop for File {
         fn drop(&mut self) {
             let _removed_already = std::fs::remove_file(&self.0);
+            let _not_written = std::fs::remove_file(number::file_of(&self.0));
         }
     }
 
@@ -196,5 +238,40 @@ mod tests {
         let nowhere = Watched::new(&file.0.join("file"), |_| Ok::<_, String>(1)).unwrap();
         let error = nowhere.replace("2", 2).unwrap_err();
         assert!(error.starts_with("cannot write ") && *nowhere.latest() == 1, "{error}");
+    }
+
+    #[test]
+    fn older_version_is_refused_after_a_restart() {
+        let file = File::new("restarted");
+        let stored = || std::fs::read_to_string(number::file_of(&file.0)).unwrap();
+        let start = |version: &str| {
+            std::fs::write(&file.0, version).unwrap();
+            Watched::new(&file.0, read).unwrap().storing_number()
+        };
+        let refused = |version: &str| start(version).unwrap_err().to_string();
+        let watched = start("1").unwrap();
+        assert_eq!(stored(), "1\n");
+        std::fs::write(&file.0, "5").unwrap();
+        assert_eq!((*watched.refresh(read), stored().as_str()), (5, "5\n"));
+        let error = refused("4");
+        assert!(error.contains("this is list 4, but list 5 was already in use here"), "{error}");
+        assert!(error.contains(".number"), "it names the file to delete: {error}");
+        start("5").unwrap().replace("7", 7).unwrap();
+        assert_eq!(stored(), "7\n");
+        assert!(refused("6").contains("this is list 6, but list 7 was"));
+        // The number never becomes smaller, not even if another process uses an older version.
+        number::raise(&file.0, 3);
+        assert_eq!(stored(), "7\n");
+        // A damaged or missing number is no reason to refuse a version.
+        for damage in ["", "x", "-1", "99999999999999999999999999999999999"] {
+            std::fs::write(number::file_of(&file.0), damage).unwrap();
+            assert_eq!(*start("2").unwrap().latest(), 2, "{damage:?}");
+            assert_eq!(stored(), "2\n");
+        }
+        std::fs::remove_file(number::file_of(&file.0)).unwrap();
+        let without = Watched::new(&file.0, read).unwrap();
+        std::fs::write(&file.0, "9").unwrap();
+        assert_eq!((*without.refresh(read), number::file_of(&file.0).exists()), (9, false));
+        start("1").unwrap();
     }
 }

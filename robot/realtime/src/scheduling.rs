@@ -57,8 +57,8 @@ impl Scheduling {
         }
         let asked = realtime != Realtime::Off;
         let granted = Self {
-            realtime: if asked { Granted::of(ask_first_in_first_out()) } else { Granted::as_found() },
-            locked: if asked { Granted::of(lock_memory()) } else { Granted::Unasked },
+            realtime: if asked { ask_first_in_first_out() } else { Granted::as_found() },
+            locked: if asked { lock_memory() } else { Granted::Unasked },
         };
         if !granted.is_realtime()
             && let Err(error) = shorten_slice()
@@ -119,13 +119,6 @@ impl fmt::Display for Scheduling {
 }
 
 impl Granted {
-    fn of(asked: Result<String, String>) -> Self {
-        match asked {
-            Ok(what) => Self::Yes(what),
-            Err(why) => Self::No(why),
-        }
-    }
-
     /// Returns the real-time scheduling under which the process was started, if any.
     fn as_found() -> Self {
         policy_found().map_or(Self::Unasked, Self::Yes)
@@ -143,9 +136,9 @@ fn policy_found() -> Option<String> {
 }
 
 /// Requests SCHED_FIFO. Threads and programs that this thread starts do not inherit it.
-fn ask_first_in_first_out() -> Result<String, String> {
+fn ask_first_in_first_out() -> Granted {
     if let Some(found) = policy_found() {
-        return Ok(found);
+        return Granted::Yes(found);
     }
     // With the capability `CAP_SYS_NICE`, no limit applies, so the full priority is requested first.
     let full = set_first_in_first_out(PRIORITY);
@@ -153,9 +146,10 @@ fn ask_first_in_first_out() -> Result<String, String> {
         Some(priority) => set_first_in_first_out(priority),
         None => Err(error),
     });
-    granted
-        .map(|()| policy_found().unwrap_or_default())
-        .map_err(|error| std::io::Error::from(error).to_string())
+    match granted {
+        Ok(()) => Granted::Yes(policy_found().unwrap_or_default()),
+        Err(error) => Granted::No(std::io::Error::from(error).to_string()),
+    }
 }
 
 /// Returns the highest priority that a limit permits. `None` if it is zero, or not below [`PRIORITY`].
@@ -186,18 +180,19 @@ fn shorten_slice() -> Result<(), uapi::Errno> {
 }
 
 /// Locks the memory of the process. Each page is locked when it is first used, so that locking does not increase memory usage.
-fn lock_memory() -> Result<String, String> {
+fn lock_memory() -> Granted {
     let limit = raise_limit(Resource::Memlock).maximum;
     let capable = rustix::thread::capabilities(None)
         .is_ok_and(|capabilities| capabilities.effective.contains(CapabilitySet::IPC_LOCK));
     // Under a limit, memory that is needed later could not be allocated at all.
     if let (Some(limit), false) = (limit, capable) {
-        return Err(format!("the limit for locked memory is {} KiB", limit / 1024));
+        return Granted::No(format!("the limit for locked memory is {} KiB", limit / 1024));
     }
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
-    rustix::mm::mlockall(all)
-        .map(|()| "memory locked".to_owned())
-        .map_err(|error| std::io::Error::from(error).to_string())
+    match rustix::mm::mlockall(all) {
+        Ok(()) => Granted::Yes("memory locked".to_owned()),
+        Err(error) => Granted::No(std::io::Error::from(error).to_string()),
+    }
 }
 
 /// Raises a limit to its maximum, and returns the previous limit.

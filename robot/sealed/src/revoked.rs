@@ -92,6 +92,10 @@ impl Versioned for Serials {
     fn is_older_than(&self, other: &Self) -> bool {
         self.number < other.number
     }
+
+    fn number(&self) -> Option<u64> {
+        Some(self.number)
+    }
 }
 
 /// A list that is read again when its file changes. An older list does not replace it.
@@ -102,7 +106,7 @@ pub(super) struct CurrentSerials {
 
 impl CurrentSerials {
     pub(super) fn new(revoked: &RevokedSerials) -> Result<Self, KeyFileError> {
-        Ok(Self { file: Watched::new(&revoked.path, Serials::read)? })
+        Ok(Self { file: Watched::new(&revoked.path, Serials::read)?.storing_number()? })
     }
 
     /// Stores this list in the file and uses it if it is newer than the list in use. Does nothing if both are equally new.

@@ -440,4 +440,5 @@ fn received_list_is_stored_only_with_the_code_of_the_authority() {
     guard.replace_list(&proven).unwrap();
     assert_eq!((stored().as_str(), guard.list().unwrap().contains("0a:1b")), (later, true));
     std::fs::remove_file(&path).unwrap();
+    std::fs::remove_file(path.with_extension("number")).unwrap();
 }

@@ -1,19 +1,31 @@
 //! Checks whether a Thrift robot is the robot that the edge is configured for, by means of the robot's own description.
 
 use serde_json::Value;
-use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
+use urrcp::{ControlParameters, ControlType, Device, DeviceId, InitializationBlock, RobotId};
+
+/// The difference between a robot's description and its initialization block.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(super) enum Mismatch {
+    #[error("its id is `{found}`, expected `{expected}`")]
+    Id { found: String, expected: RobotId },
+    /// `others` lists the devices that the robot has.
+    #[error("it has no device `{device}`{others}")]
+    NoDevice { device: DeviceId, others: String },
+    #[error("its device `{device}` accepts {} to {}, expected {} to {}", accepted[0], accepted[1], expected[0], expected[1])]
+    Range { device: DeviceId, accepted: [f64; 2], expected: [f64; 2] },
+}
 
 /// Compares a robot's description with its initialization block: its id, if it reports one, the driven devices, and their ranges.
 ///
 /// # Errors
 /// The mismatch. A description that cannot be parsed counts as a match.
-pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
+pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Mismatch> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
         tracing::warn!(robot = %block.id, "the robot's description is not JSON, so its devices are not checked");
         return Ok(());
     };
     if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {
-        return Err(format!("its id is `{told}`, expected `{}`", block.id));
+        return Err(Mismatch::Id { found: told.to_owned(), expected: block.id.clone() });
     }
     let Some(devices) = schema.get("devices").and_then(Value::as_object) else { return Ok(()) };
     for device in block.devices.iter().filter(|device| range(device).is_some()) {
@@ -23,17 +35,15 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
                 [] => ", and no other devices either".to_owned(),
                 names => format!("; its devices are {}", names.join(", ")),
             };
-            return Err(format!("it has no device `{}`{others}", device.id));
+            return Err(Mismatch::NoDevice { device: device.id.clone(), others });
         };
         let Some((min, max)) = range(device) else { continue };
         let bound = |key| told.get(key).and_then(Value::as_f64);
         let (least, most) =
             (bound("min_value").unwrap_or(f64::NEG_INFINITY), bound("max_value").unwrap_or(f64::INFINITY));
         if min < least || max > most {
-            return Err(format!(
-                "its device `{}` accepts {least} to {most}, expected {min} to {max}",
-                device.id
-            ));
+            let (device, accepted, expected) = (device.id.clone(), [least, most], [min, max]);
+            return Err(Mismatch::Range { device, accepted, expected });
         }
     }
     Ok(())
@@ -71,14 +81,19 @@ mod tests {
 
     #[test]
     fn robot_with_another_id_is_not_the_expected_one() {
-        let told = |id: &str| fits(&format!(r#"{{"id": "{id}"}}"#), &block("left", 0.0, 1.0));
+        let told = |id: &str| {
+            let schema = format!(r#"{{"id": "{id}"}}"#);
+            fits(&schema, &block("left", 0.0, 1.0)).map_err(|mismatch| mismatch.to_string())
+        };
         assert_eq!(told("r"), Ok(()));
         assert_eq!(told("s"), Err("its id is `s`, expected `r`".into()));
     }
 
     #[test]
     fn robot_with_other_devices_or_ranges_is_not_the_expected_one() {
-        let says = |schema: &str, device: &str, min, max| fits(schema, &block(device, min, max));
+        let says = |schema: &str, device: &str, min, max| {
+            fits(schema, &block(device, min, max)).map_err(|mismatch| mismatch.to_string())
+        };
         assert_eq!(says(SCHEMA, "left", -50.0, 100.0), Ok(()));
         assert_eq!(says(SCHEMA, "lamp", 0.0, 1e9), Ok(()), "no range is told");
         assert_eq!(says("no JSON", "arm", 0.0, 1.0), Ok(()));

@@ -6,7 +6,8 @@ use super::Key;
 
 /// Returns a signal's value, rounded to a multiple of the device's granularity, because movements and stops produce values in between.
 /// For example, 82 times 0.02 is 1.64, not 1.6400000000000001.
-pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
+pub(super) fn on_grid(block: &InitializationBlock, key: &Key, value: f64) -> f64 {
+    let (device, control_type) = key;
     let device = block.device(device.as_str());
     let Some(limits) = device.and_then(|device| device.available_control_types.limits(*control_type)) else {
         return value;

@@ -395,10 +395,17 @@ impl Mailbox {
         }
     }
 
-    /// Records that the reading of a sensor starts (true) or has ended (false).
-    pub(crate) fn reading(&self, under_way: bool) {
+    /// Records that the reading of a sensor starts.
+    pub(crate) fn begin_reading(&self) {
         if let Some(pulse) = &mut self.lock().pulse {
-            pulse.reading(under_way);
+            pulse.begin_reading();
+        }
+    }
+
+    /// Records that the reading of a sensor has ended.
+    pub(crate) fn end_reading(&self) {
+        if let Some(pulse) = &mut self.lock().pulse {
+            pulse.end_reading();
         }
     }
 

@@ -6,9 +6,13 @@
 
 #[cfg(feature = "thrift")]
 mod described;
+#[cfg(feature = "dmx")]
+mod dmx;
 mod grid;
 mod lifeline;
 mod mailbox;
+#[cfg(feature = "osc")]
+mod osc;
 mod planned;
 mod program;
 mod pulse;
@@ -27,8 +31,12 @@ use std::time::Duration;
 
 use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 
+#[cfg(feature = "dmx")]
+pub use self::dmx::{AtEnd, DmxAddress, DmxFixture, FRAMES_PER_SECOND, PRIORITY, Protocol as DmxProtocol};
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox};
+#[cfg(feature = "osc")]
+pub use self::osc::{OscAddress, OscRobot};
 pub(crate) use self::planned::PlanNews;
 pub use self::program::{Program, Timeouts};
 pub(crate) use self::pulse::Demand;
@@ -39,7 +47,7 @@ pub use self::rates::{
     SAMPLES_PER_SECOND,
 };
 pub use self::simulated::SimulatedDriver;
-pub use self::spec::{DriverSpec, DriverSpecError};
+pub use self::spec::DriverSpec;
 #[cfg(feature = "thrift")]
 pub use self::thrift::{ThriftRobot, describe as describe_thrift};
 pub use self::watched::HardwareEvent;

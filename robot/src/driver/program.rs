@@ -20,6 +20,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,7 +28,7 @@ use serde::Deserialize;
 use serde_json::json;
 use urrcp::{ControlType, DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint, Span};
 
-use super::running::{Running, UnsolicitedInput};
+use super::running::{NoAnswer, Running, UnsolicitedInput};
 use super::{
     Driver, DriverError, Lifeline, PINGS_BOUNDS, Pushes, READINGS_BOUNDS, Ramp, Rates, SAMPLES_BOUNDS,
 };
@@ -102,9 +103,9 @@ impl<T: Copy> Of<T> {
 }
 
 /// Minimum and maximum of the declared `lookahead_ms`: how many milliseconds ahead a program may request the steps of scripts.
-const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
+const LOOKAHEAD_MS: RangeInclusive<f64> = 20.0..=60_000.0;
 /// Minimum and maximum of the declared `hardware_silence_ms`, in milliseconds.
-const HARDWARE_SILENCE_MS: (f64, f64) = (50.0, 60_000.0);
+const HARDWARE_SILENCE_MS: RangeInclusive<f64> = 50.0..=60_000.0;
 /// If the edge is silent for longer than the first time, a program starts no script; after the second, it ends a running script. Both are
 /// in milliseconds.
 const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
@@ -182,7 +183,7 @@ impl Program {
         self.answered(answer)
     }
 
-    fn answered(&mut self, answer: Result<String, String>) -> Result<String, DriverError> {
+    fn answered(&mut self, answer: Result<String, NoAnswer>) -> Result<String, DriverError> {
         let answer = answer.map_err(|reason| {
             self.running = None;
             DriverError::Away(format!("the program `{}` {reason}", self.command))
@@ -218,8 +219,8 @@ impl Program {
         let answer = self.ask_at_start(&format!("init {init}"))?;
         let declared = match answer.strip_prefix("ok").map(str::trim) {
             Some("") => Ok(Declared::default()),
-            Some(json) => serde_json::from_str(json).map_err(|error| error.to_string()),
-            None => Err("expected `ok` and a JSON object".to_owned()),
+            Some(json) => serde_json::from_str(json).map_err(InvalidDeclaration::Json),
+            None => Err(InvalidDeclaration::NotOk),
         };
         let declared = declared.and_then(|declared| declared.checked(&self.block));
         declared.map_err(|error| {
@@ -230,6 +231,26 @@ impl Program {
             ))
         })
     }
+}
+
+/// The fault in a program's answer to `init`.
+#[derive(Debug, thiserror::Error)]
+enum InvalidDeclaration {
+    #[error("expected `ok` and a JSON object")]
+    NotOk,
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error("{key} names `{device}`, which this robot does not have")]
+    NoDevice { key: &'static str, device: DeviceId },
+    #[error("lookahead names `{0}`, which is not a moving device of this robot")]
+    NotMoving(DeviceId),
+    #[error("{what} is {number}, expected {least} to {most}")]
+    OutOfRange { what: String, number: f64, least: f64, most: f64 },
+    #[error("`{0}` has both lookahead and lookahead_ms, expected only one of them")]
+    TwoLookaheads(DeviceId),
+    /// Contains the declared latency in milliseconds.
+    #[error("a latency of {0} ms, expected 0 to {LATENCY_MS_MAX} ms")]
+    Latency(f64),
 }
 
 impl Declared {
@@ -254,7 +275,7 @@ impl Declared {
     }
 
     /// Checks that the program's look-aheads and rates name existing devices and contain valid numbers.
-    fn check_numbers(&self, block: &InitializationBlock) -> Result<(), String> {
+    fn check_numbers(&self, block: &InitializationBlock) -> Result<(), InvalidDeclaration> {
         let rates = self.rates(block);
         let ms = self.lookahead_ms.iter().flat_map(|of| of.each(driven(block)));
         let numbers = [
@@ -262,46 +283,54 @@ impl Declared {
             ("samples_per_second", SAMPLES_BOUNDS, rates.samples_per_second),
             ("readings_per_second", READINGS_BOUNDS, rates.readings_per_second),
         ];
-        for (key, (least, most), numbers) in numbers {
+        for (key, bounds, numbers) in numbers {
             for (device, number) in numbers {
                 if block.device(device.as_str()).is_none() {
-                    return Err(format!("{key} names `{device}`, which this robot does not have"));
+                    return Err(InvalidDeclaration::NoDevice { key, device });
                 }
-                if !(number >= least && number <= most) {
-                    return Err(format!("{key} of `{device}` is {number}, expected {least} to {most}"));
+                if !bounds.contains(&number) {
+                    let (least, most) = bounds.into_inner();
+                    return Err(InvalidDeclaration::OutOfRange {
+                        what: format!("{key} of `{device}`"),
+                        number,
+                        least,
+                        most,
+                    });
                 }
             }
         }
-        let (least, most) = PINGS_BOUNDS;
-        if let Some(pings) = self.pings_per_second.filter(|pings| !(*pings >= least && *pings <= most)) {
-            return Err(format!("pings_per_second is {pings}, expected {least} to {most}"));
+        let rate = self.pings_per_second;
+        if let Some(pings) = rate.filter(|pings| !PINGS_BOUNDS.contains(pings)) {
+            let (least, most) = PINGS_BOUNDS.into_inner();
+            let what = "pings_per_second".to_owned();
+            return Err(InvalidDeclaration::OutOfRange { what, number: pings, least, most });
         }
-        let (least, most) = HARDWARE_SILENCE_MS;
-        if let Some(ms) = self.hardware_silence_ms.filter(|ms| !(*ms >= least && *ms <= most)) {
-            return Err(format!("hardware_silence_ms is {ms}, expected {least} to {most}"));
+        let silence = self.hardware_silence_ms;
+        if let Some(ms) = silence.filter(|ms| !HARDWARE_SILENCE_MS.contains(ms)) {
+            let (least, most) = HARDWARE_SILENCE_MS.into_inner();
+            let what = "hardware_silence_ms".to_owned();
+            return Err(InvalidDeclaration::OutOfRange { what, number: ms, least, most });
         }
         let each = |device: &DeviceId| driven(block).any(|driven| driven == device);
         if let Some(device) = self.lookahead(block).keys().find(|device| !each(device)) {
-            return Err(format!("lookahead names `{device}`, which is not a moving device of this robot"));
+            return Err(InvalidDeclaration::NotMoving(device.clone()));
         }
         let whole = self.lookahead.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
         let ahead = self.lookahead_ms.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
         match whole.keys().find(|device| ahead.contains_key(*device)) {
-            Some(device) => {
-                Err(format!("`{device}` has both lookahead and lookahead_ms, expected only one of them"))
-            }
+            Some(device) => Err(InvalidDeclaration::TwoLookaheads(device.clone())),
             None => Ok(()),
         }
     }
 
-    fn checked(self, block: &InitializationBlock) -> Result<Self, String> {
+    fn checked(self, block: &InitializationBlock) -> Result<Self, InvalidDeclaration> {
         self.check_numbers(block)?;
         for (device, ms) in &self.latency_ms {
             if block.device(device.as_str()).is_none() {
-                return Err(format!("latency_ms names `{device}`, which this robot does not have"));
+                return Err(InvalidDeclaration::NoDevice { key: "latency_ms", device: device.clone() });
             }
             if !(*ms >= 0.0 && *ms <= LATENCY_MS_MAX) {
-                return Err(format!("a latency of {ms} ms, expected 0 to {LATENCY_MS_MAX} ms"));
+                return Err(InvalidDeclaration::Latency(*ms));
             }
         }
         Ok(self)
@@ -453,9 +482,9 @@ mod tests {
          "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
       {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
 
-    fn declared(json: &str) -> Result<(Declared, InitializationBlock), String> {
+    fn declared(json: &str) -> Result<(Declared, InitializationBlock), InvalidDeclaration> {
         let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-        let declared: Declared = serde_json::from_str(json).map_err(|error| error.to_string())?;
+        let declared: Declared = serde_json::from_str(json)?;
         Ok((declared.checked(&block)?, block))
     }
 
@@ -490,7 +519,7 @@ mod tests {
             (r#"{"pings_per_second": 1}"#, "expected 10 to 200"),
             (r#"{"hardware_silence_ms": 5}"#, "expected 50 to 60000"),
         ] {
-            let error = declared(json).map(|_| ()).unwrap_err();
+            let error = declared(json).map(|_| ()).unwrap_err().to_string();
             assert!(error.contains(why), "{json}: {error}");
         }
     }

@@ -109,8 +109,12 @@ impl Pulse {
         self.took = took.max(self.took - self.took / 16);
     }
 
-    pub(super) const fn reading(&mut self, reading: bool) {
-        self.reading = reading;
+    pub(super) const fn begin_reading(&mut self) {
+        self.reading = true;
+    }
+
+    pub(super) const fn end_reading(&mut self) {
+        self.reading = false;
     }
 
     /// Returns the time of the next ping.
@@ -227,9 +231,9 @@ mod tests {
         pulse.called(50 * MS);
         assert_eq!(pulse.silence(begin + SILENCE_MAX + 100 * MS, SILENCE_MAX), None);
         assert_eq!(pulse.silence(begin + SILENCE_MAX + 101 * MS, SILENCE_MAX), Some(SILENCE_MAX + 101 * MS));
-        pulse.reading(true);
+        pulse.begin_reading();
         assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
-        pulse.reading(false);
+        pulse.end_reading();
         pulse.answered(begin + 900 * MS);
         assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.demand(begin, Demand::default());

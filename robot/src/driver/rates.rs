@@ -1,6 +1,7 @@
 //! How often a driver is called: the rates that the driver declares and those that its user configures.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use urrcp::DeviceId;
@@ -13,12 +14,12 @@ pub const SAMPLES_PER_SECOND: f64 = 50.0;
 pub const PINGS_PER_SECOND: f64 = 40.0;
 
 /// Minimum and maximum number of samples (intermediate values of a movement) per second, for one device.
-pub const SAMPLES_BOUNDS: (f64, f64) = (0.1, 1_000.0);
+pub const SAMPLES_BOUNDS: RangeInclusive<f64> = 0.1..=1_000.0;
 /// Minimum and maximum number of pings per second. With fewer pings, a start would rely on an old sign of life; more pings only cost
 /// time.
-pub const PINGS_BOUNDS: (f64, f64) = (10.0, 200.0);
+pub const PINGS_BOUNDS: RangeInclusive<f64> = 10.0..=200.0;
 /// Minimum and maximum number of readings per second of one sensor.
-pub const READINGS_BOUNDS: (f64, f64) = (0.01, 1_000.0);
+pub const READINGS_BOUNDS: RangeInclusive<f64> = 0.01..=1_000.0;
 
 /// The call rates that a driver prefers. Rates in the [`DriverOptions`] take precedence.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,24 +45,24 @@ impl Rates {
     pub(super) fn sample_period(&self, options: &DriverOptions, device: &DeviceId) -> Duration {
         let option = options.samples_of.get(device).copied().or(options.samples_per_second);
         let rate = option.or_else(|| self.samples_per_second.get(device).copied());
-        period(rate.unwrap_or(SAMPLES_PER_SECOND), SAMPLES_BOUNDS)
+        period(rate.unwrap_or(SAMPLES_PER_SECOND), &SAMPLES_BOUNDS)
     }
 
     /// Returns the interval between two pings in the last second before a start.
     pub(super) fn ping_period(&self, options: &DriverOptions) -> Duration {
         let rate = options.pings_per_second.or(self.pings_per_second);
-        period(rate.unwrap_or(PINGS_PER_SECOND), PINGS_BOUNDS)
+        period(rate.unwrap_or(PINGS_PER_SECOND), &PINGS_BOUNDS)
     }
 
     /// Returns how long a sensor's reading is reused for further requests. `None`: each request reads the sensor again.
     pub(super) fn reading_period(&self, options: &DriverOptions, sensor: &DeviceId) -> Option<Duration> {
         let rate = options.readings_per_second.or_else(|| self.readings_per_second.get(sensor).copied());
-        rate.map(|rate| period(rate, READINGS_BOUNDS))
+        rate.map(|rate| period(rate, &READINGS_BOUNDS))
     }
 }
 
-fn period(rate: f64, (least, most): (f64, f64)) -> Duration {
-    Duration::from_secs_f64(1.0 / rate.clamp(least, most))
+fn period(rate: f64, bounds: &RangeInclusive<f64>) -> Duration {
+    Duration::from_secs_f64(1.0 / rate.clamp(*bounds.start(), *bounds.end()))
 }
 
 #[cfg(test)]

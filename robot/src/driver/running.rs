@@ -99,6 +99,26 @@ pub(super) struct Running {
     ends_within: Duration,
 }
 
+/// The reason why a program did not answer a line, as the rest of a sentence that begins with the program.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum NoAnswer {
+    #[error("has ended")]
+    Ended,
+    #[error("has closed its input")]
+    ClosedInput,
+    #[error("was stopped before it read `{0}`")]
+    StoppedUnread(String),
+    #[error("was stopped before it answered `{0}`")]
+    StoppedUnanswered(String),
+    #[error("did not read `{line}` within {} s", wait.as_secs_f64())]
+    NotRead { line: String, wait: Duration },
+    #[error("did not answer `{line}` within {} s", wait.as_secs_f64())]
+    NotAnswered { line: String, wait: Duration },
+    /// Contains the operating system's error.
+    #[error("does not accept input: {0}")]
+    Input(String),
+}
+
 impl Running {
     pub(super) fn start(command: &str, ear: Option<UnsolicitedInput>) -> std::io::Result<Self> {
         let mut shell = Command::new("sh");
@@ -128,7 +148,7 @@ impl Running {
     }
 
     /// Sends a line and returns the program's answer.
-    pub(super) fn ask(&mut self, line: &str, wait: Duration) -> Result<String, String> {
+    pub(super) fn ask(&mut self, line: &str, wait: Duration) -> Result<String, NoAnswer> {
         self.ask_unless(line, wait, &|| false)
     }
 
@@ -138,41 +158,41 @@ impl Running {
         line: &str,
         wait: Duration,
         is_over: &dyn Fn() -> bool,
-    ) -> Result<String, String> {
-        let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
+    ) -> Result<String, NoAnswer> {
+        let Some(input) = &mut self.input else { return Err(NoAnswer::Ended) };
         // The whole line is written at once. A program may still read it in pieces.
         let verb = line.split(' ').next().unwrap_or(line);
-        let shown = if line.len() > SHOWN_MAX { verb } else { line };
+        let shown = if line.len() > SHOWN_MAX { verb } else { line }.to_owned();
         match write_within(input, format!("{line}\n").as_bytes(), wait, is_over) {
             Ok(true) => {}
-            Ok(false) if is_over() => return Err(format!("was stopped before it read `{shown}`")),
-            Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
+            Ok(false) if is_over() => return Err(NoAnswer::StoppedUnread(shown)),
+            Ok(false) => return Err(NoAnswer::NotRead { line: shown, wait }),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Err(self.why_it_reads_no_more()),
-            Err(error) => return Err(format!("does not accept input: {error}")),
+            Err(error) => return Err(NoAnswer::Input(error.to_string())),
         }
         let mut left = wait;
         loop {
             let slice = left.min(LOOK_EVERY);
             match self.answers.recv_timeout(slice) {
                 Ok(answer) => return Ok(answer),
-                Err(RecvTimeoutError::Disconnected) => return Err("has ended".to_owned()),
+                Err(RecvTimeoutError::Disconnected) => return Err(NoAnswer::Ended),
                 Err(RecvTimeoutError::Timeout) => left -= slice,
             }
             if is_over() {
-                return Err(format!("was stopped before it answered `{shown}`"));
+                return Err(NoAnswer::StoppedUnanswered(shown));
             }
             if left.is_zero() {
-                return Err(format!("did not answer `{shown}` within {}", seconds(wait)));
+                return Err(NoAnswer::NotAnswered { line: shown, wait });
             }
         }
     }
 
-    fn why_it_reads_no_more(&self) -> String {
+    fn why_it_reads_no_more(&self) -> NoAnswer {
         // Skips answers that the program has already sent.
         let last =
             std::iter::repeat_with(|| self.answers.recv_timeout(self.ends_within)).take(LAST_WORDS_MAX);
         let ended = last.filter_map(Result::err).next() == Some(RecvTimeoutError::Disconnected);
-        if ended { "has ended" } else { "has closed its input" }.to_owned()
+        if ended { NoAnswer::Ended } else { NoAnswer::ClosedInput }
     }
 }
 
@@ -186,10 +206,6 @@ const LAST_WORDS_MAX: usize = 8;
 
 /// Maximum length in bytes of a line that an error message shows in full. If a line is longer, the message shows only its first word.
 const SHOWN_MAX: usize = 200;
-
-fn seconds(wait: Duration) -> String {
-    format!("{} s", wait.as_secs_f64())
-}
 
 /// Writes the bytes. Returns false if the program has not read for `wait`, or once `is_over` returns true.
 fn write_within(
@@ -313,9 +329,13 @@ mod tests {
         // Until its input is closed, the program may still take a line without ever answering it.
         (0..1_000)
             .find_map(|_| {
-                running.ask("ping", Duration::from_millis(20)).err().filter(|why| !why.contains("ping"))
+                running
+                    .ask("ping", Duration::from_millis(20))
+                    .err()
+                    .filter(|why| !why.to_string().contains("ping"))
             })
             .unwrap()
+            .to_string()
     }
 
     #[test]
@@ -401,7 +421,7 @@ mod tests {
     #[test]
     fn error_about_a_long_line_names_only_its_first_word() {
         let mut running = Running::start("sleep 60", None).unwrap();
-        let mut reason = |line: &str| running.ask(line, Duration::from_millis(10)).unwrap_err();
+        let mut reason = |line: &str| running.ask(line, Duration::from_millis(10)).unwrap_err().to_string();
         let short = format!("init {}", "x".repeat(SHOWN_MAX - 5));
         assert_eq!(reason(&short), format!("did not answer `{short}` within 0.01 s"));
         assert_eq!(reason(&format!("{short}x")), "did not answer `init` within 0.01 s");

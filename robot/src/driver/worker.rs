@@ -451,9 +451,9 @@ impl Worker {
             return Ok(());
         }
         let begin = Instant::now();
-        self.mailbox.reading(true);
+        self.mailbox.begin_reading();
         let reading = self.driver.read(sensor);
-        self.mailbox.reading(false);
+        self.mailbox.end_reading();
         let reading = match reading {
             Err(DriverError::Away(reason)) => {
                 (self.tell)(News::Reading { id, reading: Err(reason.clone()) });

@@ -37,7 +37,7 @@ const SYNC: Duration = Duration::from_secs(1);
 
 /// The kind of a note.
 #[derive(Clone, Copy, Debug)]
-enum Kind {
+enum NoteKind {
     /// The event is recorded.
     Event(Event),
     /// A request that may move a device. Its movement is recorded once it begins, with the peer of the request.
@@ -51,7 +51,7 @@ enum Kind {
 struct Note {
     robot: usize,
     at: Timestamp<Server>,
-    kind: Kind,
+    kind: NoteKind,
     peer: Option<Peer>,
     session: Option<String>,
     device: Option<DeviceId>,
@@ -88,7 +88,7 @@ impl Audit {
         }
     }
 
-    fn note(&self, robot: usize, kind: Kind, peer: Option<&Peer>, fill: impl FnOnce(&mut Note)) {
+    fn note(&self, robot: usize, kind: NoteKind, peer: Option<&Peer>, fill: impl FnOnce(&mut Note)) {
         let peer = peer.cloned();
         let mut note =
             Note { robot, at: now(), kind, peer, session: None, device: None, request: None, reason: None };
@@ -98,20 +98,20 @@ impl Audit {
 
     /// Ends the trail.
     pub(super) fn end(&self) {
-        self.note(0, Kind::End, None, |_| {});
+        self.note(0, NoteKind::End, None, |_| {});
     }
 
     /// Notes that a peer has proven its identity.
     pub(super) fn connected(&self, robot: usize, peer: &Peer) {
         if peer.proof().is_some() {
-            self.note(robot, Kind::Event(Event::Connected), Some(peer), |_| {});
+            self.note(robot, NoteKind::Event(Event::Connected), Some(peer), |_| {});
         }
     }
 
     /// Notes that a peer was not admitted.
     #[cfg(any(test, feature = "sealed", feature = "tls"))]
     pub(crate) fn not_admitted(&self, robot: usize, peer: &Peer, reason: &str) {
-        self.note(robot, Kind::Event(Event::Refused), Some(peer), |note| {
+        self.note(robot, NoteKind::Event(Event::Refused), Some(peer), |note| {
             note.reason = Some(reason.to_owned())
         });
     }
@@ -119,14 +119,14 @@ impl Audit {
     /// Notes the new owner of the robot; `None` if it belongs to no session.
     pub(super) fn owner(&self, robot: usize, claimant: Option<&Claimant>, peer: Option<&Peer>) {
         let event = if claimant.is_some() { Event::Claimed } else { Event::Released };
-        self.note(robot, Kind::Event(event), peer, |note| {
+        self.note(robot, NoteKind::Event(event), peer, |note| {
             note.session = claimant.map(|claimant| claimant.session.to_string());
         });
     }
 
     /// Notes a request before the robot receives it.
     pub(super) fn request(&self, robot: usize, peer: &Peer, request: &ControlRequest) {
-        let kind = if request.is_stop() { Kind::Event(Event::Stopped) } else { Kind::Request };
+        let kind = if request.is_stop() { NoteKind::Event(Event::Stopped) } else { NoteKind::Request };
         self.note(robot, kind, Some(peer), |note| {
             note.session = request.session.as_ref().map(ToString::to_string);
             note.device = Some(request.device_id.clone());
@@ -137,7 +137,7 @@ impl Audit {
     /// Notes that a key is no longer valid.
     #[cfg(any(feature = "sealed", feature = "tls"))]
     pub(super) fn barred(&self, robot: usize, peer: Option<&Peer>, serial: &str, reason: &str) {
-        self.note(robot, Kind::Event(Event::Barred), peer, |note| {
+        self.note(robot, NoteKind::Event(Event::Barred), peer, |note| {
             note.reason = Some(format!("{reason} ({serial})"))
         });
     }
@@ -156,7 +156,7 @@ impl Audit {
         if matches!(error.code, ErrorCode::Cancelled | ErrorCode::LinkLost) {
             return;
         }
-        self.note(robot, Kind::Event(Event::Refused), Some(peer), |note| {
+        self.note(robot, NoteKind::Event(Event::Refused), Some(peer), |note| {
             note.reason = Some(error.message.to_string());
             note.device = device;
             note.request = request.map(ToString::to_string);
@@ -186,7 +186,7 @@ impl Audit {
             self.send(Note {
                 robot,
                 at: Timestamp::from_nanos(entry.true_ns),
-                kind: Kind::Event(event),
+                kind: NoteKind::Event(event),
                 peer: None,
                 session: None,
                 device: Some(entry.device.clone()),
@@ -410,7 +410,7 @@ impl Writer {
         while written.is_ok() {
             let note = inbox.recv_timeout(SYNC);
             written = match note {
-                Ok(Note { kind: Kind::End, .. }) => break,
+                Ok(Note { kind: NoteKind::End, .. }) => break,
                 Ok(note) => self.write(note),
                 Err(RecvTimeoutError::Timeout) => self.write_omitted(),
                 Err(RecvTimeoutError::Disconnected) => break,
@@ -428,12 +428,12 @@ impl Writer {
 
     fn write(&mut self, mut note: Note) -> io::Result<()> {
         let event = match note.kind {
-            Kind::Event(event) => event,
-            Kind::Request => {
+            NoteKind::Event(event) => event,
+            NoteKind::Request => {
                 self.requests.add(&note);
                 return Ok(());
             }
-            Kind::End => return Ok(()),
+            NoteKind::End => return Ok(()),
         };
         match event {
             Event::Moved | Event::Rested => self.requests.complete(&mut note),
@@ -631,7 +631,7 @@ mod tests {
         let note = |port: Option<u16>, request: String| Note {
             robot: 0,
             at: Timestamp::from_nanos(0),
-            kind: Kind::Request,
+            kind: NoteKind::Request,
             peer: port.map(peer),
             session: None,
             device: Some(DeviceId::new("arm").unwrap()),
@@ -668,12 +668,12 @@ mod tests {
             request: Some(request.to_owned()),
             reason: None,
         };
-        audit.send(note(Kind::Request, 1, "act-1"));
+        audit.send(note(NoteKind::Request, 1, "act-1"));
         for i in 0..REQUESTS_MAX + 10 {
-            audit.send(note(Kind::Request, 2, &format!("flood-{i}")));
-            audit.send(note(Kind::Event(Event::Refused), 2, &format!("flood-{i}")));
+            audit.send(note(NoteKind::Request, 2, &format!("flood-{i}")));
+            audit.send(note(NoteKind::Event(Event::Refused), 2, &format!("flood-{i}")));
         }
-        audit.send(Note { peer: None, ..note(Kind::Event(Event::Moved), 0, "act-1") });
+        audit.send(Note { peer: None, ..note(NoteKind::Event(Event::Moved), 0, "act-1") });
         audit.end();
         thread.join().unwrap();
         let (_, records) = check(&[&fs::read_to_string(folder.trail()).unwrap()]);

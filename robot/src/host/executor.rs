@@ -79,7 +79,7 @@ pub(super) type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Schedul
 /// granted. The thread ends with [`Order::Stop`], when every handle is dropped, or when it receives no robots.
 pub(super) fn prepared_thread(
     realtime: Realtime,
-    told: Told,
+    told: Destinations,
     inbox: flume::Receiver<Order>,
 ) -> Result<Prepared, HostError> {
     let (ready, robots) = std_mpsc::channel();
@@ -101,7 +101,7 @@ pub(super) fn prepared_thread(
 }
 
 /// The destinations to which the precise thread reports: log, owners, refusals and metrics.
-pub(super) struct Told {
+pub(super) struct Destinations {
     pub(super) log: Option<Log>,
     /// Channels that publish the current owner of each robot, one per robot.
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
@@ -125,7 +125,7 @@ struct Executor {
     peers: HashMap<LinkId, (usize, Outbox)>,
     clock: HostClock,
     waits: PreciseWait,
-    told: Told,
+    told: Destinations,
     /// Number of connections per robot.
     connections: Vec<u64>,
     /// Number of owner changes of each robot that have been reported.
@@ -135,7 +135,7 @@ struct Executor {
 }
 
 impl Executor {
-    fn new(robots: Vec<Body>, told: Told, waits: PreciseWait) -> Self {
+    fn new(robots: Vec<Body>, told: Destinations, waits: PreciseWait) -> Self {
         for (figures, robot) in told.figures.robots().iter().zip(&robots) {
             figures.note(robot.machine().counts(), robot.machine().hardware_answers());
         }
@@ -402,7 +402,7 @@ mod tests {
     use crate::simulated::Settings;
 
     fn executor(robots: usize) -> Executor {
-        let told = Told {
+        let told = Destinations {
             log: None,
             owners: (0..robots).map(|_| watch::channel(None).0).collect(),
             refusals: Arc::default(),

@@ -7,7 +7,26 @@ use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Timestamp};
 use super::{Now, Output, Robot, SetValue};
 use crate::device::{Effect, Motion, Rest};
 use crate::ids::CommandId;
-use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
+use crate::plans::{ImpossibleReport, Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
+
+/// The error for a driver's report about a script that the driver times by itself.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PlanReportError {
+    /// The driver has never received a part of the script.
+    #[error("plan {} was never sent to the driver", plan.0)]
+    NeverSent {
+        /// The plan that the report names.
+        plan: PlanId,
+    },
+    /// The report cannot be true.
+    #[error("plan {}: {report}", plan.0)]
+    Impossible {
+        /// The plan that the report names.
+        plan: PlanId,
+        /// Why the report cannot be true.
+        report: ImpossibleReport,
+    },
+}
 
 impl Robot {
     /// Sets the devices whose scripts the driver receives ahead of time and times by itself. Must be called each time the driver
@@ -66,17 +85,18 @@ impl Robot {
         at: Now,
         event: &PlanEvent,
         out: &mut Vec<Output>,
-    ) -> Result<(), String> {
+    ) -> Result<(), PlanReportError> {
         let Some(plan) = self.plans.get_mut(id).filter(|plan| plan.given > 0) else {
             // A late report about a script that is already over is permitted.
             return if self.plans.has_been(id) {
                 Ok(())
             } else {
-                Err(format!("plan {} was never sent to the driver", id.0))
+                Err(PlanReportError::NeverSent { plan: id })
             };
         };
         let (done_before, device) = (plan.steps_done, plan.device().clone());
-        let at = plan.note(now, at, event).map_err(|why| format!("plan {}: {why}", id.0))?;
+        let at =
+            plan.note(now, at, event).map_err(|report| PlanReportError::Impossible { plan: id, report })?;
         self.log_steps(id, at, done_before, out);
         let failed = match event {
             PlanEvent::Failed(reason) => Some(format!("the hardware failed {{place}}: {reason}")),

@@ -100,7 +100,8 @@ impl Shared {
 /// Transfers messages in both directions until either side closes the connection, or another connection needs its place. While the peer
 /// does not read the robot's messages, the robot's side reads no further input.
 pub(super) async fn carry<R, W>(
-    (reader, writer): (R, W),
+    reader: R,
+    writer: W,
     peer: Peer,
     mut link: RobotLink,
     ticket: Ticket,

@@ -23,6 +23,9 @@ pub(super) struct Key {
     proof: Option<Proof>,
     /// Serial number of the certificate or the pass.
     serial: String,
+    /// Name of the authority that issued the certificate. `None` for a pass.
+    #[cfg(feature = "tls")]
+    authority: Option<String>,
     /// Time after which the key is invalid, in seconds since 1970, UTC.
     expires: i64,
 }
@@ -30,14 +33,25 @@ pub(super) struct Key {
 #[cfg(feature = "tls")]
 impl From<tls::Identity> for Key {
     fn from(identity: tls::Identity) -> Self {
-        Self { proof: identity.proof(), expires: identity.expires, serial: identity.serial }
+        Self {
+            proof: identity.proof(),
+            expires: identity.expires,
+            serial: identity.serial,
+            authority: Some(identity.authority),
+        }
     }
 }
 
 #[cfg(feature = "sealed")]
 impl From<sealed::Claim> for Key {
     fn from(claim: sealed::Claim) -> Self {
-        Self { proof: claim.proof(), expires: claim.expires, serial: claim.serial }
+        Self {
+            proof: claim.proof(),
+            expires: claim.expires,
+            serial: claim.serial,
+            #[cfg(feature = "tls")]
+            authority: None,
+        }
     }
 }
 
@@ -45,6 +59,8 @@ impl From<sealed::Claim> for Key {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Invalid {
     Revoked,
+    #[cfg(feature = "tls")]
+    AuthorityEnded,
     Expired,
 }
 
@@ -52,6 +68,8 @@ impl fmt::Display for Invalid {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Revoked => "the operator's key was revoked",
+            #[cfg(feature = "tls")]
+            Self::AuthorityEnded => "the authority of the operator's key was replaced",
             Self::Expired => "the operator's key has expired",
         })
     }
@@ -74,19 +92,28 @@ impl Door {
 
     /// Returns the reason why a key is not valid at `now` (in seconds since 1970, UTC). `None` if it is valid.
     fn invalid(&self, key: &Key, now: i64) -> Option<Invalid> {
-        let is_revoked = match self {
+        let excluded = match self {
             Self::Open => return None,
             #[cfg(feature = "tls")]
-            Self::Tls(guard) => guard.latest_list().is_some_and(|list| list.contains(&key.serial)),
+            Self::Tls(guard) => guard.latest_list().and_then(|list| {
+                let authority = key.authority.as_deref().unwrap_or_default();
+                list.exclusion(authority, &key.serial).map(Invalid::from)
+            }),
             #[cfg(feature = "sealed")]
-            Self::Sealed(guard) => guard.latest_list().is_some_and(|list| list.contains(&key.serial)),
+            Self::Sealed(guard) => {
+                guard.latest_list().is_some_and(|list| list.contains(&key.serial)).then_some(Invalid::Revoked)
+            }
         };
-        if is_revoked {
-            Some(Invalid::Revoked)
-        } else if key.expires < now {
-            Some(Invalid::Expired)
-        } else {
-            None
+        excluded.or_else(|| (key.expires < now).then_some(Invalid::Expired))
+    }
+}
+
+#[cfg(feature = "tls")]
+impl From<tls::Exclusion> for Invalid {
+    fn from(exclusion: tls::Exclusion) -> Self {
+        match exclusion {
+            tls::Exclusion::Revoked => Self::Revoked,
+            tls::Exclusion::AuthorityEnded => Self::AuthorityEnded,
         }
     }
 }

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
+use super::authority::Authority;
 use super::identity::{Identity, IdentityError};
-use super::revoked::{List, Revoked};
+use super::list::List;
+use super::revoked::Revoked;
 use downbeat_key_file::{KeyFileError, read_private};
 
 /// An error in an identity file or a list of revoked certificates.
@@ -28,6 +30,14 @@ pub enum CredentialsError {
         /// Path of the file.
         path: PathBuf,
     },
+    /// A part of a list of revoked certificates is missing or cannot be trusted.
+    #[error("{}: {what}; expected the `revoked.pem` that `downbeat keys` wrote", path.display())]
+    Unusable {
+        /// Path of the file.
+        path: PathBuf,
+        /// The fault.
+        what: &'static str,
+    },
     /// A part of the identity is missing or damaged.
     #[error("{}: {what}; expected a file that `downbeat keys` wrote, with a private key, its certificate and the authority's certificate", path.display())]
     Incomplete {
@@ -46,17 +56,22 @@ pub enum CredentialsError {
     },
 }
 
-/// A private key with its certificate, and the certificate of the trusted authority.
+/// Maximum number of authorities in an identity file: the one that issued the certificate, and the one that it replaces.
+const AUTHORITIES_MAX: usize = 2;
+
+/// A private key with its certificate, and the certificates of the trusted authorities.
 #[derive(Debug)]
 pub struct Credentials {
     pub(super) certificate: CertificateDer<'static>,
     pub(super) key: PrivateKeyDer<'static>,
-    pub(super) authority: CertificateDer<'static>,
+    /// The first one issued the certificate. A second one is the authority that the first one replaces.
+    pub(super) authorities: Vec<Authority>,
     identity: Identity,
 }
 
 impl Credentials {
-    /// Reads an identity file: PEM with the private key, then the key's certificate, then the authority's certificate.
+    /// Reads an identity file: PEM with the private key, then the key's certificate, then the certificate of the authority, and
+    /// while the authority is replaced that of its predecessor.
     ///
     /// # Errors
     /// [`CredentialsError`]; also if other users can read the file.
@@ -64,22 +79,32 @@ impl Credentials {
         let incomplete = |what: &str| CredentialsError::Incomplete { path: path.into(), what: what.into() };
         let text = read_private(path)?;
         let key = PrivateKeyDer::from_pem_slice(&text).map_err(|_| incomplete("missing private key"))?;
+        let damaged = || incomplete("it contains a damaged certificate");
         let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
-        let certificates = certificates.map_err(|_| incomplete("it contains a damaged certificate"))?;
-        let [certificate, authority] = <[_; 2]>::try_from(certificates).map_err(|found| {
-            incomplete(&format!("it contains {} certificates, expected two", found.len()))
-        })?;
+        let mut certificates = certificates.map_err(|_| damaged())?.into_iter();
+        let found = certificates.len();
+        let certificate = certificates.next().filter(|_| (2..=1 + AUTHORITIES_MAX).contains(&found));
+        let certificate = certificate
+            .ok_or_else(|| incomplete(&format!("it contains {found} certificates, expected two or three")))?;
+        let authorities = certificates.map(Authority::of_certificate).collect::<Result<_, _>>();
+        let authorities: Vec<Authority> = authorities.map_err(|_| damaged())?;
+        // A robot that trusted the root would accept the certificates of all its intermediate authorities.
+        if let [issuer, other] = authorities.as_slice()
+            && other.has_signed(issuer)
+        {
+            return Err(incomplete("it contains the root of an intermediate authority"));
+        }
         let identity = Identity::of_certificate(&certificate)
             .map_err(|error| CredentialsError::Nameless { path: path.into(), error })?;
-        Ok(Self { certificate, key, authority, identity })
+        Ok(Self { certificate, key, authorities, identity })
     }
 
-    /// Reads a list of revoked certificates, which the authority of this identity must have signed.
+    /// Reads the lists of revoked certificates in a file. The authority of this identity must have signed one of them.
     ///
     /// # Errors
-    /// The list cannot be read, or another authority signed it.
+    /// The file cannot be read, or it is not that of this identity's authority.
     pub fn list(&self, revoked: &Revoked) -> Result<List, CredentialsError> {
-        revoked.read(&self.authority)
+        revoked.read(&self.authorities)
     }
 
     /// Returns the identity that the certificate contains.

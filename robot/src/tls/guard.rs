@@ -11,12 +11,13 @@ use tokio_rustls::server::TlsStream;
 use super::config::server_config;
 use super::credentials::Credentials;
 use super::identity::Identity;
-use super::revoked::{CurrentList, List, Revoked};
+use super::list::List;
+use super::revoked::{CurrentList, Revoked};
 
 const NO_LIST: &str = "the robot has no list of revoked keys; start it with --revoked";
 
-/// Proves a robot's identity to its peers, and checks theirs. Admits operators with a certificate that the robot's authority issued and
-/// that is not revoked.
+/// Proves a robot's identity to its peers, and checks theirs. Admits operators with a certificate that an authority of the robot
+/// issued and that is not revoked.
 #[derive(Debug)]
 pub struct Guard {
     own: Credentials,
@@ -31,7 +32,8 @@ impl Guard {
     /// # Errors
     /// A sentence with the reason why the identity or the list of revoked certificates cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
-        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
+        let current = |revoked| CurrentList::new(&revoked, &own.authorities)?.storing_number();
+        let revoked = revoked.map(current).transpose()?;
         let list = revoked.as_ref().map(CurrentList::list);
         let config = server_config(&own, list.as_deref())?;
         Ok(Self { own, revoked, config: Mutex::new((list, Arc::new(config))) })

@@ -61,6 +61,8 @@ pub struct Identity {
     pub expires: i64,
     /// Serial number of the certificate, in hexadecimal digits.
     pub serial: String,
+    /// Name of the authority that issued the certificate.
+    pub authority: String,
 }
 
 impl Identity {
@@ -73,11 +75,22 @@ impl Identity {
         let names = certificate.subject_alternative_name().map_err(|_| IdentityError::NotACertificate)?;
         let names = names.map(|names| names.value.general_names.as_slice()).unwrap_or_default();
         let uris = names.iter().filter_map(|name| match name {
-            GeneralName::URI(uri) => uri.strip_prefix("urrcp:"),
+            GeneralName::URI(uri) => Some(*uri),
             _ => None,
         });
+        let (name, roles) = Self::named(uris)?;
+        let expires = certificate.validity().not_after.timestamp();
+        let authority = certificate.issuer().to_string();
+        Ok(Self { name, roles, expires, serial: certificate.raw_serial_as_string(), authority })
+    }
+
+    /// Reads the name and the roles from the URIs of a certificate, or of a request for one.
+    ///
+    /// # Errors
+    /// [`IdentityError`].
+    pub fn named<'a>(uris: impl IntoIterator<Item = &'a str>) -> Result<(Name, Roles), IdentityError> {
         let (mut named, mut roles) = (Vec::new(), Vec::new());
-        for uri in uris {
+        for uri in uris.into_iter().filter_map(|uri| uri.strip_prefix("urrcp:")) {
             match Self::part(uri).ok_or_else(|| IdentityError::Unreadable(format!("urrcp:{uri}")))? {
                 Part::Name(name) => named.push(name),
                 Part::Role(role) => roles.push(role),
@@ -87,8 +100,7 @@ impl Identity {
         let name = named.pop().filter(|_| count == 1).ok_or(IdentityError::Names(count))?;
         let roles =
             if matches!(name, Name::Robot(_)) { Roles::default() } else { roles.into_iter().collect() };
-        let expires = certificate.validity().not_after.timestamp();
-        Ok(Self { name, roles, expires, serial: certificate.raw_serial_as_string() })
+        Ok((name, roles))
     }
 
     fn part(uri: &str) -> Option<Part> {

@@ -38,7 +38,7 @@ impl Credentials {
     }
 }
 
-/// Verifies signed statements. A statement is valid if the authority that the witness trusts has certified its signer as an operator.
+/// Verifies signed statements. A statement is valid if an authority that the witness trusts has certified its signer as an operator.
 #[derive(Debug)]
 pub struct Witness {
     own: Credentials,
@@ -46,12 +46,13 @@ pub struct Witness {
 }
 
 impl Witness {
-    /// Creates a witness that trusts all certificates of the authority of `own`, except for those in `revoked`.
+    /// Creates a witness that trusts the certificates that the authorities of `own` issued, and those of authorities that
+    /// `revoked` introduces, except for revoked ones.
     ///
     /// # Errors
     /// A sentence with the reason why the files cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
-        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
+        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authorities)).transpose()?;
         let own = Self { own, revoked };
         own.verifier()?;
         Ok(own)

@@ -23,7 +23,7 @@ const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 /// # Errors
 /// There is no robot at the key, there are several, or the network does not carry messages.
 pub async fn connect(network: &Network, key: &Key, haste: Urgency) -> io::Result<Stream> {
-    open(network, key, (haste, &[])).await
+    open(network, key, haste, &[]).await
 }
 
 /// Like [`connect`], for a connection that may refer to texts which are published once for several robots ([`Stream::offer`]). It may do
@@ -33,10 +33,10 @@ pub async fn connect(network: &Network, key: &Key, haste: Urgency) -> io::Result
 /// # Errors
 /// Those of [`connect`].
 pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) -> io::Result<Stream> {
-    open(network, key, (Urgency::None, audiences)).await
+    open(network, key, Urgency::None, audiences).await
 }
 
-async fn open(network: &Network, key: &Key, (haste, audiences): (Urgency, &[u32])) -> io::Result<Stream> {
+async fn open(network: &Network, key: &Key, haste: Urgency, audiences: &[u32]) -> io::Result<Stream> {
     let nobody = || {
         let why = "no robot answers at this key: the robot, or a router on the path to it, is not running";
         io::Error::new(io::ErrorKind::NotFound, why)
@@ -48,7 +48,7 @@ async fn open(network: &Network, key: &Key, (haste, audiences): (Urgency, &[u32]
     let (link, pipe) = (network.connection()?, Shared::default());
     let (answer, mut answers) = mpsc::unbounded_channel();
     let (told, opened) = oneshot::channel();
-    let stream = Stream::new(network.clone(), pipe.clone(), (link, Target::new(key.to())?), haste);
+    let stream = Stream::new(network.clone(), pipe.clone(), link, Target::new(key.to())?, haste);
     let opening = Opening {
         key: key.clone(),
         network: network.clone(),

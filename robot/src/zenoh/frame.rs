@@ -25,7 +25,7 @@ const PART: usize = 44;
 
 /// A reference to bytes of a text that was published separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Part {
+pub(super) struct TextPart {
     /// Hash of the whole text.
     pub(super) text: ContentHash,
     /// Number of bytes of the text that precede the part.
@@ -46,12 +46,12 @@ pub(super) struct Frame<'a> {
     pub(super) next: Next,
     /// The part of a separately published text that is inserted into the content. Only permitted if more frames may follow. `None`: no
     /// text is inserted.
-    pub(super) part: Option<Part>,
+    pub(super) part: Option<TextPart>,
     /// The next bytes of the stream, except those of the part.
     pub(super) content: &'a [u8],
 }
 
-impl Part {
+impl TextPart {
     fn encode(&self, bytes: &mut Vec<u8>) {
         bytes.extend(self.text.bytes());
         for number in [self.from, self.count, self.at] {
@@ -101,7 +101,7 @@ impl<'a> Frame<'a> {
         let (number, rest) = rest.split_first_chunk::<8>()?;
         let (read, rest) = rest.split_first_chunk::<8>()?;
         let (part, content) = match *kind {
-            WITH_PART => Part::decode(rest).map(|(part, content)| (Some(part), content))?,
+            WITH_PART => TextPart::decode(rest).map(|(part, content)| (Some(part), content))?,
             _ => (None, rest),
         };
         let next = match *kind {
@@ -143,16 +143,16 @@ mod tests {
 
     #[test]
     fn part_is_inserted_within_the_content_and_is_never_empty() {
-        let part = Part { text: ContentHash::of(b"text"), from: 1, count: 2, at: 3 };
+        let part = TextPart { text: ContentHash::of(b"text"), from: 1, count: 2, at: 3 };
         let frame = Frame { number: 1, read: 2, next: Next::More, part: Some(part), content: b"abc" };
         let bytes = frame.encode();
         assert_eq!(Frame::decode(&bytes), Some(frame));
         assert_eq!(Frame::decode(&bytes[..bytes.len() - 1]), None, "it would go in behind the end");
         assert_eq!(Frame::decode(&bytes[..HEADER + PART - 1]), None);
-        let empty = Frame { part: Some(Part { count: 0, ..part }), ..frame };
+        let empty = Frame { part: Some(TextPart { count: 0, ..part }), ..frame };
         assert_eq!(Frame::decode(&empty.encode()), None);
         assert_eq!(part.of(b"text"), Some(&b"ex"[..]));
         assert_eq!(part.of(b"te"), None);
-        assert_eq!(Part { from: u32::MAX, count: u32::MAX, ..part }.of(b"text"), None);
+        assert_eq!(TextPart { from: u32::MAX, count: u32::MAX, ..part }.of(b"text"), None);
     }
 }

@@ -201,7 +201,7 @@ impl Links {
             }
         }
         let listed = Listed { link, links: Arc::downgrade(&self.0), _following: following };
-        place.send(Stream::new(network.clone(), pipe, (link, target), haste).keeping(Box::new(listed)));
+        place.send(Stream::new(network.clone(), pipe, link, target, haste).keeping(Box::new(listed)));
     }
 }
 

@@ -287,7 +287,8 @@ impl Network {
     pub(super) fn publish(
         &self,
         haste: Urgency,
-        (link, target): (LinkId, Arc<Target>),
+        link: LinkId,
+        target: Arc<Target>,
         frame: Vec<u8>,
         pipe: &Shared,
     ) {

@@ -11,7 +11,7 @@ use ::zenoh::qos::CongestionControl;
 use ::zenoh::query::Query;
 use urrcp::ContentHash;
 
-use super::frame::Part;
+use super::frame::TextPart;
 use super::keys::{Audience, Key};
 use super::network::{Call, Network, Urgency};
 use super::stream::Target;
@@ -50,10 +50,10 @@ impl Text {
     }
 
     /// Returns a reference to the bytes of the text from `from` to its end. A frame inserts these bytes after `at` bytes of its content.
-    pub(super) fn part(&self, from: usize, at: usize) -> io::Result<Part> {
+    pub(super) fn part(&self, from: usize, at: usize) -> io::Result<TextPart> {
         let small = |size: usize| u32::try_from(size).map_err(io::Error::other);
         let count = small(self.len().saturating_sub(from))?;
-        Ok(Part { text: self.hash, from: small(from)?, count, at: small(at)? })
+        Ok(TextPart { text: self.hash, from: small(from)?, count, at: small(at)? })
     }
 }
 
@@ -101,7 +101,8 @@ impl Offers {
     pub(super) fn offer(
         &self,
         network: &Network,
-        (audience, hash): (Audience, ContentHash),
+        audience: Audience,
+        hash: ContentHash,
         text: impl FnOnce() -> Vec<u8>,
     ) -> Option<Text> {
         let mut offered = self.lock();

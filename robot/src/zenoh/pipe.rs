@@ -6,7 +6,7 @@ use std::task::{Context, Poll, Waker};
 
 use urrcp::ContentHash;
 
-use super::frame::{Frame, Next, Part};
+use super::frame::{Frame, Next, TextPart};
 
 /// Maximum number of bytes in flight: one side has written them, and the other side has not read them yet.
 pub(super) const WINDOW: usize = 1024 * 1024;
@@ -27,7 +27,7 @@ enum End {
 enum Piece {
     Here(Vec<u8>),
     /// A part of a separately published text that has not arrived yet. Later pieces of the stream are not read before it.
-    Awaited(Part),
+    Awaited(TextPart),
 }
 
 /// How many bytes were written: of a frame's content, and of the text inserted into it.
@@ -235,7 +235,7 @@ impl Pipe {
         &mut self,
         context: &Context<'_>,
         bytes: &[u8],
-        part: Option<Part>,
+        part: Option<TextPart>,
     ) -> Poll<io::Result<(Written, Vec<u8>)>> {
         if let Some(error) = self.error() {
             return Poll::Ready(Err(error));
@@ -271,7 +271,7 @@ impl Pipe {
         (!std::mem::replace(&mut self.has_ended, true)).then(|| self.frame(&[], None, next))
     }
 
-    fn frame(&mut self, content: &[u8], part: Option<Part>, next: Next) -> Vec<u8> {
+    fn frame(&mut self, content: &[u8], part: Option<TextPart>, next: Next) -> Vec<u8> {
         let frame = Frame { number: self.number, read: self.read, next, part, content };
         self.number += 1;
         self.told = self.read;
@@ -280,7 +280,7 @@ impl Pipe {
 }
 
 /// Returns how much of `bytes` and of the part fits into the next frame, if `room` bytes may be written.
-fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Part>) {
+fn fitting(room: usize, bytes: &[u8], part: Option<TextPart>) -> (Written, Option<TextPart>) {
     let size = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
     let at = part.map_or(bytes.len(), |part| size(part.at).min(bytes.len()));
     let ahead = at.min(room).min(CONTENT_MAX);
@@ -294,7 +294,7 @@ fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Pa
     let text = size(count);
     let left = (room - ahead - text).min(CONTENT_MAX - ahead).min(bytes.len() - ahead);
     let behind = if count == part.count { left } else { 0 };
-    (Written { content: ahead + behind, text }, Some(Part { count, ..part }))
+    (Written { content: ahead + behind, text }, Some(TextPart { count, ..part }))
 }
 
 #[cfg(test)]
@@ -313,7 +313,7 @@ mod tests {
         let (mut frames, mut done) = (Vec::new(), Written::default());
         while done != (Written { content: bytes.len(), text: text.len() }) {
             let small = |size: usize| u32::try_from(size).unwrap();
-            let part = (done.text < text.len()).then(|| Part {
+            let part = (done.text < text.len()).then(|| TextPart {
                 text: ContentHash::of(text),
                 from: small(done.text),
                 count: small(text.len() - done.text),
@@ -453,7 +453,7 @@ mod tests {
         assert_eq!(came.len(), WINDOW);
         assert!(matches!(write(&mut near, b"x"), Poll::Pending), "the text counts as what is written");
         receive(&mut near, &far.acknowledgement().unwrap());
-        let part = Part { text: hash, from: u32::try_from(WINDOW - 1).unwrap(), count: 10, at: 0 };
+        let part = TextPart { text: hash, from: u32::try_from(WINDOW - 1).unwrap(), count: 10, at: 0 };
         let context = Context::from_waker(Waker::noop());
         let Poll::Ready(Ok((_, frame))) = near.poll_write(&context, b">", Some(part)) else { panic!() };
         assert_eq!(far.receive(&frame), Some(hash));
@@ -466,7 +466,7 @@ mod tests {
     fn missing_or_short_text_breaks_connection_and_reason_is_reported() {
         for (fills, told) in [(false, "did not receive a script"), (true, "has lost a message")] {
             let (mut near, mut far) = (Pipe::default(), Pipe::default());
-            let part = Part { text: ContentHash::of(b"text"), from: 1, count: 4, at: 1 };
+            let part = TextPart { text: ContentHash::of(b"text"), from: 1, count: 4, at: 1 };
             let context = Context::from_waker(Waker::noop());
             let Poll::Ready(Ok((_, frame))) = near.poll_write(&context, b"<>", Some(part)) else { panic!() };
             let awaited = far.receive(&frame).unwrap();
@@ -487,7 +487,7 @@ mod tests {
     #[test]
     fn part_longer_than_the_window_breaks_the_connection() {
         let mut far = Pipe::default();
-        let part = Part { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
+        let part = TextPart { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
         let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
         receive(&mut far, &frame.encode());
         assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeded its send limit"));

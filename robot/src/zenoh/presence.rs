@@ -21,7 +21,7 @@ struct Token {
 }
 
 #[derive(Debug, Default)]
-struct Told {
+struct TokenTable {
     /// The liveliness tokens that the session has observed, by key.
     tokens: HashMap<String, Token>,
     /// Number of present liveliness tokens of robots, by the robot's key. 0 if all tokens at this key have disappeared.
@@ -30,7 +30,7 @@ struct Told {
 
 /// The liveliness tokens that a session observes.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Tokens(Arc<Mutex<Told>>);
+pub(super) struct Tokens(Arc<Mutex<TokenTable>>);
 
 /// Makes a connection depend on a liveliness token. When this value is dropped, the token is forgotten if it is absent and no other
 /// connection depends on it.
@@ -40,7 +40,7 @@ pub(super) struct Following {
 }
 
 impl Tokens {
-    fn lock(&self) -> MutexGuard<'_, Told> {
+    fn lock(&self) -> MutexGuard<'_, TokenTable> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

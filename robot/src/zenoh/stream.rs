@@ -13,7 +13,7 @@ use ::zenoh::{Session, Wait};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use urrcp::ContentHash;
 
-use super::frame::Part;
+use super::frame::TextPart;
 use super::keys::{Key, LinkId};
 use super::network::{Network, Urgency};
 use super::offers::{Offers, Text};
@@ -114,7 +114,8 @@ impl Stream {
     pub(super) fn new(
         network: Network,
         pipe: Shared,
-        (link, target): (LinkId, Arc<Target>),
+        link: LinkId,
+        target: Arc<Target>,
         haste: Urgency,
     ) -> Self {
         let (kept, hears) = (Mutex::default(), OnceLock::new());
@@ -148,13 +149,9 @@ impl Stream {
     /// [`Stream::write_with`]. Returns `None` if this robot receives no such texts, or if the text is longer than 4 MiB; the caller must
     /// then write the text itself.
     #[must_use]
-    pub fn offer(
-        &self,
-        (audience, hash): (u32, ContentHash),
-        text: impl FnOnce() -> Vec<u8>,
-    ) -> Option<Text> {
+    pub fn offer(&self, audience: u32, hash: ContentHash, text: impl FnOnce() -> Vec<u8>) -> Option<Text> {
         let (_, offers) = self.0.hears.get()?;
-        offers.offer(&self.0.network, (audience, hash), text)
+        offers.offer(&self.0.network, audience, hash, text)
     }
 
     /// Writes `bytes`, and inserts texts that were offered by [`Stream::offer`]. Each text is inserted before its position in `bytes`;
@@ -180,7 +177,7 @@ impl Stream {
         Ok(())
     }
 
-    async fn write_part(&self, bytes: &[u8], part: Option<Part>) -> io::Result<Written> {
+    async fn write_part(&self, bytes: &[u8], part: Option<TextPart>) -> io::Result<Written> {
         std::future::poll_fn(|context| self.0.poll_write(context, bytes, part)).await
     }
 }
@@ -195,14 +192,14 @@ impl Stream {
 
 impl Ends {
     fn publish(&self, frame: Vec<u8>) {
-        self.network.publish(self.haste, (self.link, self.target.clone()), frame, &self.pipe);
+        self.network.publish(self.haste, self.link, self.target.clone(), frame, &self.pipe);
     }
 
     fn poll_write(
         &self,
         context: &Context<'_>,
         bytes: &[u8],
-        part: Option<Part>,
+        part: Option<TextPart>,
     ) -> Poll<io::Result<Written>> {
         // The frame is published before another frame can get the next number.
         let mut pipe = self.pipe.lock();

@@ -254,7 +254,7 @@ fn long_text() -> Vec<u8> {
 }
 
 fn offer(stream: &Stream, text: &[u8]) -> Option<Text> {
-    stream.offer((7, ContentHash::of(text)), || text.to_vec())
+    stream.offer(7, ContentHash::of(text), || text.to_vec())
 }
 
 /// Writes `<`, an offered text, and `>`, and then closes the stream for writing.
@@ -407,7 +407,7 @@ async fn text_is_published_only_to_its_audience() {
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let hash = ContentHash::of(b"other");
-    let other = near.offer((8, hash), || b"other".to_vec()).unwrap();
+    let other = near.offer(8, hash, || b"other".to_vec()).unwrap();
     // The robot does not receive this text when it is published, and requests it.
     let _near = write_around(near, other).await;
     assert_eq!(read_all(far).await.unwrap(), b"<other>");

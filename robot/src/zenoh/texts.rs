@@ -100,13 +100,13 @@ impl Texts {
 
 #[cfg(test)]
 mod tests {
-    use super::super::frame::{Frame, Next, Part};
+    use super::super::frame::{Frame, Next, TextPart};
     use super::*;
 
     /// Returns a connection that waits for this text, and the hash of the text.
     fn waiting_for(text: &[u8]) -> (Shared, ContentHash) {
         let (pipe, hash) = (Shared::default(), ContentHash::of(text));
-        let part = Part { text: hash, from: 0, count: 1, at: 0 };
+        let part = TextPart { text: hash, from: 0, count: 1, at: 0 };
         let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
         assert_eq!(pipe.lock().receive(&frame.encode()), Some(hash));
         (pipe, hash)

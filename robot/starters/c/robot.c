@@ -21,6 +21,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -146,6 +147,7 @@ struct command {
     bool held, script, begun, started;
     bool of_owner;                 /* belongs to the session, else to the connection `link` */
     uint64_t link, number;
+    struct sealed_claim by;        /* unless it belongs to the session */
     struct answer *answer;
     char content_hash[65];
     struct lease lease;
@@ -173,6 +175,7 @@ struct device {
     struct tail {                  /* the lease of a speed that continues after its command */
         bool there, of_owner, named;
         uint64_t link, command;
+        struct sealed_claim by;
         int64_t limit, heard;
         int steps_done;
         struct text request_id;
@@ -198,8 +201,10 @@ static struct json json;
 static struct text robot_id, owner;
 static char owner_name[SEALED_NAME]; /* the operator that proved to own the robot */
 static size_t owner_name_length;
+static struct sealed_claim owner_claim; /* with which the session last proved to own the robot */
 static bool owned, reports, secured; /* secured: a peer has to prove a pass */
 static struct sealed_key key;
+static const char *revoked;          /* the file of the list of revoked passes, or NULL */
 static int64_t owner_heard;
 static uint64_t numbers;
 
@@ -627,6 +632,7 @@ static void leave_on(struct device *device, const struct command *c)
         tail->there = tail->there && tail->limit != NEVER;
         tail->of_owner = c->of_owner;
         tail->link = c->link;
+        tail->by = c->by;
         tail->command = c->number;
         tail->heard = c->heard;
         tail->steps_done = c->done;
@@ -1084,6 +1090,14 @@ static bool owns(const struct link *link, const struct text *session)
         && !memcmp(link->sealed.name, owner_name, owner_name_length);
 }
 
+static void release(void)
+{
+    int i;
+    owned = false;
+    for (i = 0; i < MAX_LINKS; i++)
+        links[i].of_owner = false;
+}
+
 /* Whether the robot runs or holds a command. A session that is over at this time loses the robot. */
 static bool is_busy(void)
 {
@@ -1098,11 +1112,8 @@ static bool is_busy(void)
     }
     for (i = 0; i < MAX_LINKS; i++)
         open = open || (links[i].socket >= 0 && links[i].of_owner);
-    if (owned && !busy && (!open || silence_ns() - owner_heard >= SILENCE)) {
-        owned = false;
-        for (i = 0; i < MAX_LINKS; i++)
-            links[i].of_owner = false;
-    }
+    if (owned && !busy && (!open || silence_ns() - owner_heard >= SILENCE))
+        release();
     return busy;
 }
 
@@ -1127,8 +1138,10 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     link->heard = now;
     link->spoken = true;
     renews = link->of_owner && (!session || owns(link, session));
-    if (renews)
+    if (renews) {
         owner_heard = now;
+        owner_claim = link->sealed.claim;
+    }
     for (device = devices; device < devices + device_count; device++) {
         for (i = 0; i < KINDS; i++)
             if (device->tails[i].of_owner ? renews : device->tails[i].link == link->number)
@@ -1175,9 +1188,7 @@ static void take_from_others(struct link *link, const struct text *session)
     fprintf(stderr, "%s\n", why);
     for (i = 0; i < device_count; i++)
         rest(&devices[i], false, "cancelled", why, now);
-    owned = false;
-    for (i = 0; i < MAX_LINKS; i++)
-        links[i].of_owner = false;
+    release();
 }
 
 static struct answer *new_answer(void)
@@ -1256,6 +1267,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         c->script = r->script;
         c->of_owner = r->has_session;
         c->link = link->number;
+        c->by = link->sealed.claim;
         c->number = ++numbers;
         memcpy(c->content_hash, r->content_hash, sizeof c->content_hash);
         c->lease = r->lease;
@@ -1669,6 +1681,56 @@ static void link_close(struct link *link)
     link->of_owner = false;
 }
 
+/* Reads the list of revoked passes again if its file has changed. */
+static void refresh_revoked(void)
+{
+    static struct stat last;
+    struct stat seen;
+    if (!revoked || stat(revoked, &seen) < 0)
+        memset(&seen, 0, sizeof seen);
+    if (seen.st_ino == last.st_ino && seen.st_size == last.st_size && seen.st_ctim.tv_sec == last.st_ctim.tv_sec
+        && seen.st_ctim.tv_nsec == last.st_ctim.tv_nsec)
+        return;
+    last = seen;
+    if (!sealed_read_revoked(&key, revoked))
+        fprintf(stderr, "the previous list of revoked passes remains in use\n");
+}
+
+/* Once per second, applies a new list of revoked passes, and ends what the robot holds for passes that are not valid. */
+static void end_invalid(void)
+{
+    static int64_t next;
+    const char *owners, *why;
+    struct device *device;
+    struct link *link;
+    int i;
+    if (!secured || silence_ns() < next)
+        return;
+    next = silence_ns() + SECOND;
+    refresh_revoked();
+    owners = owned ? sealed_invalid(&key, &owner_claim, time(NULL)) : NULL;
+    for (device = devices; device < devices + device_count; device++) {
+        why = owners;
+        for (i = 0; i < KINDS && !why; i++)
+            if (device->tails[i].there && !device->tails[i].of_owner)
+                why = sealed_invalid(&key, &device->tails[i].by, time(NULL));
+        for (i = 0; i < MAX_QUEUE && !why; i++)
+            if (device->commands[i].held && !device->commands[i].of_owner)
+                why = sealed_invalid(&key, &device->commands[i].by, time(NULL));
+        if (why)
+            rest(device, false, "forbidden", why, now_ns());
+    }
+    if (owners)
+        release();
+    for (link = links; link < links + MAX_LINKS; link++) {
+        why = link->socket >= 0 && link->sealed.stage == SEALED_OPEN ? sealed_invalid(&key, &link->sealed.claim, time(NULL)) : NULL;
+        if (why) {
+            fprintf(stderr, "the connection of operator %.*s is closed: %s\n", (int)link->sealed.name_length, link->sealed.name, why);
+            link_close(link);
+        }
+    }
+}
+
 /* Disconnects a stranger for a new one: one that has sent no message, or else the one that has been silent for longest. */
 static void make_room(void)
 {
@@ -1690,6 +1752,7 @@ static void link_accept(int listener)
     int socket = accept(listener, NULL, NULL), one = 1, i;
     if (socket < 0)
         return;
+    refresh_revoked();
     make_room();
     for (i = 0; i < MAX_LINKS && links[i].socket >= 0; i++)
         ;
@@ -1805,16 +1868,18 @@ int main(int argc, char **argv)
         else if (!strcmp(argv[i], "--secret"))
             secret = argv[i + 1];
         else if (!strcmp(argv[i], "--revoked"))
-            key.revoked = argv[i + 1];
+            revoked = argv[i + 1];
         else
             break;
     }
-    if (i != argc || (key.revoked && !secret)) {
+    if (i != argc || (revoked && !secret)) {
         fprintf(stderr, "robot [--listen HOST:PORT] [--secret FILE [--revoked FILE]]; port 0 is any that is free\n");
         return 2;
     }
     secured = secret != NULL;
     if (secured && !sealed_read_secret(&key, secret))
+        return 1;
+    if (revoked && !sealed_read_revoked(&key, revoked))
         return 1;
     if (!read_block()) {
         fprintf(stderr, "BLOCK cannot be read, or does not keep to the limits\n");
@@ -1831,8 +1896,11 @@ int main(int argc, char **argv)
     }
     for (;;) {
         struct pollfd polls[MAX_LINKS + 1];
-        int64_t wait = run() - now_ns() - SPIN;
-        int timeout = wait <= 0 ? 0 : wait > 250 * MS ? 250 : (int)(wait / MS);
+        int64_t wait;
+        int timeout;
+        end_invalid();
+        wait = run() - now_ns() - SPIN;
+        timeout = wait <= 0 ? 0 : wait > 250 * MS ? 250 : (int)(wait / MS);
         for (i = 0; i < MAX_LINKS; i++) {
             struct link *link = &links[i];
             bool listens = link->socket >= 0 && link->out_length < MAX_UNREAD;

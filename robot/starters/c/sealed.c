@@ -1,7 +1,9 @@
 #include "sealed.h"
 
 #include <ctype.h>
+#include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -85,20 +87,52 @@ bool sealed_random(unsigned char *bytes, size_t length)
     return got == (ssize_t)length;
 }
 
-static bool is_revoked(const char *path, const char *serial, size_t length)
+bool sealed_read_revoked(struct sealed_key *key, const char *path)
 {
+    static struct sealed_list list; /* replaces the one in use as a whole */
     char line[1024];
-    bool found = false, whole = false;
-    FILE *file = path ? fopen(path, "r") : NULL;
-    if (!file)
-        return path != NULL; /* an unreadable list rejects everyone */
-    while (fgets(line, sizeof line, file)) {
-        found = found || (strcspn(line, "\r\n") == length && !memcmp(line, serial, length));
+    const char *why = "expected a list that `downbeat keys` wrote";
+    bool good = true, whole = false;
+    FILE *file = fopen(path, "r");
+    list.number = list.count = 0;
+    while (file && good && fgets(line, sizeof line, file)) {
+        size_t length = strcspn(line, "\n");
         whole = !strcmp(line, "# end\n"); /* without it, the list was cut off */
+        if (!strncmp(line, "# number ", 9))
+            list.number = strtoull(line + 9, NULL, 10);
+        if (!length || line[0] == '#')
+            continue;
+        line[length] = '\0';
+        good = length < SEALED_SERIAL && strspn(line, "0123456789abcdef:") == length && list.count < SEALED_REVOKED;
+        if (good)
+            strcpy(list.serials[list.count++], line);
+        else if (list.count == SEALED_REVOKED)
+            why = "it names more passes than SEALED_REVOKED";
     }
-    found = found || ferror(file) || !whole;
-    fclose(file);
-    return found;
+    good = good && whole && !ferror(file);
+    if (!file)
+        why = strerror(errno);
+    else
+        fclose(file);
+    if (good && list.number >= key->revoked.number) {
+        key->revoked = list;
+        return true;
+    }
+    if (good)
+        fprintf(stderr, "%s: its number %" PRIu64 " is smaller than %" PRIu64 ", that of the list in use\n", path, list.number,
+            key->revoked.number);
+    else
+        fprintf(stderr, "%s: %s\n", path, why);
+    return false;
+}
+
+const char *sealed_invalid(const struct sealed_key *key, const struct sealed_claim *claim, int64_t now)
+{
+    size_t i;
+    for (i = 0; i < key->revoked.count; i++)
+        if (!strcmp(key->revoked.serials[i], claim->serial))
+            return "the operator's key was revoked";
+    return claim->expires < now ? "the operator's key has expired" : NULL;
 }
 
 /* Percent-encodes all but the unreserved characters of RFC 3986. Returns 0 if there is no room. */
@@ -175,7 +209,6 @@ static bool hello(const struct sealed_key *key, struct sealed *s, size_t length,
     char own[12 * 256 + 1], *line = s->said, *word[7], *end;
     size_t at = sizeof VERSION - 1, words = 0, own_length;
     unsigned char number[SEALED_NONCE], tag[SHA256_BYTES];
-    long long expires;
     if (length < at || memcmp(line, VERSION, at) != 0)
         return false; /* another protocol */
     while (words < 7) { /* nonce, robot, "operator", name, roles, end, number */
@@ -193,14 +226,15 @@ static bool hello(const struct sealed_key *key, struct sealed *s, size_t length,
     own[own_length] = '\0';
     if ((size_t)(word[2] - word[1]) - 1 != own_length || memcmp(word[1], own, own_length) != 0)
         return refuse(answer, "robot ", own);
-    expires = strtoll(word[5], &end, 10);
-    if (end != word[6] - 1)
+    s->claim.expires = strtoll(word[5], &end, 10);
+    if (end != word[6] - 1 || line + length - word[6] >= SEALED_SERIAL)
         return refuse(answer, "claim", "");
+    sprintf(s->claim.serial, "%.*s", (int)(line + length - word[6]), word[6]);
     if (now < key->made - CLOCKS_DIFFER)
         return refuse(answer, "clock", "");
-    if (expires < now)
+    if (s->claim.expires < now)
         return refuse(answer, "expired", "");
-    if (is_revoked(key->revoked, word[6], (size_t)(line + length - word[6])))
+    if (sealed_invalid(key, &s->claim, now))
         return refuse(answer, "revoked", "");
     s->roles = roles_of(word[4], (size_t)(word[5] - word[4]) - 1);
     code(key->secret, "urrcp pass 1\n", word[2], (size_t)(line + length - word[2]), s->pass);

@@ -14,8 +14,23 @@
 #define SEALED_LINE 8192    /* of the handshake */
 #define SEALED_NONCE 16
 #define SEALED_NAME 256     /* longest name of an operator, in bytes; a longer one is rejected */
+#define SEALED_SERIAL 64    /* room for the number of a pass; a longer one is rejected */
+#define SEALED_REVOKED 256  /* most passes on a list of revoked ones */
 
 enum { ROLE_OBSERVE = 1, ROLE_DRIVE = 2, ROLE_STOP = 4, ROLE_SEIZE = 8 };
+
+/* A list of revoked passes. A later one has a larger number. */
+struct sealed_list {
+    uint64_t number;
+    size_t count;
+    char serials[SEALED_REVOKED][SEALED_SERIAL];
+};
+
+/* The number of an operator's pass, and when it expires, in seconds since 1970. */
+struct sealed_claim {
+    char serial[SEALED_SERIAL];
+    int64_t expires;
+};
 
 /* The robot's secret and its settings. */
 struct sealed_key {
@@ -23,7 +38,7 @@ struct sealed_key {
     int64_t made;        /* when it was made, in seconds since 1970; 0 if unknown */
     const char *robot;   /* its id */
     size_t robot_length;
-    const char *revoked; /* a file with the serials of revoked passes, or NULL */
+    struct sealed_list revoked;
 };
 
 enum sealed_stage { SEALED_HELLO, SEALED_PROOF, SEALED_OPEN };
@@ -34,6 +49,7 @@ struct sealed {
     unsigned roles;
     char name[SEALED_NAME];
     size_t name_length;
+    struct sealed_claim claim;
     unsigned char pass[SHA256_BYTES], to_robot[SHA256_BYTES], to_operator[SHA256_BYTES];
     uint64_t came, went; /* records in each direction */
     size_t said_length, raw_length;
@@ -43,6 +59,13 @@ struct sealed {
 
 /* Reads a file written by `downbeat keys secret`. On failure, returns false and prints the reason to stderr. */
 bool sealed_read_secret(struct sealed_key *key, const char *path);
+
+/* Replaces the list of revoked passes by the one in a file that `downbeat keys` wrote. If that one is damaged, longer than
+   SEALED_REVOKED or older, returns false, prints the reason to stderr, and changes nothing. */
+bool sealed_read_revoked(struct sealed_key *key, const char *path);
+
+/* Why a pass is not valid at `now`, in seconds since 1970; NULL if it is. */
+const char *sealed_invalid(const struct sealed_key *key, const struct sealed_claim *claim, int64_t now);
 
 /* Fills `bytes` with random bytes; false if that is impossible. */
 bool sealed_random(unsigned char *bytes, size_t length);

@@ -107,12 +107,20 @@ static bool greet(const struct sealed_key *key, struct sealed *s, const char *he
     return sealed_greet(key, s, 2000000000, nonce, answer);
 }
 
+static bool uses(struct sealed_key *key, const char *list)
+{
+    FILE *file = fopen("revoked.test", "w");
+    bool used = file && fputs(list, file) >= 0 && fclose(file) == 0 && sealed_read_revoked(key, "revoked.test");
+    remove("revoked.test");
+    return used;
+}
+
 static void handshake(void)
 {
     static struct sealed s, before;
     static unsigned char record[2 * SEALED_RECORD], carried[SEALED_RECORD];
     static char answer[SEALED_LINE + 1], opened[SEALED_RECORD];
-    struct sealed_key key = {{0}, 0, NULL, 0, NULL};
+    static struct sealed_key key;
     const char *hello;
     size_t length, hello_length;
     int item, list, i;
@@ -162,17 +170,34 @@ static void handshake(void)
     key.robot = "arm-1";
     list = json_get(&vectors, 0, "refused");
     for (item = vectors.nodes[list].first; item != JSON_NONE; item = vectors.nodes[item].next) {
-        FILE *revoked = fopen("revoked.test", "w");
-        if (revoked) {
-            fputs("# numbers\n0b:00\n# end\n", revoked);
-            fclose(revoked);
-        }
-        key.revoked = "revoked.test";
+        check(uses(&key, "# numbers\n0b:00\n# end\n"), "a list of revoked passes");
         hello = text(item, "hello", &length);
         refused = !greet(&key, &s, hello, length, answer);
         check(refused && !strcmp(answer, text(item, "answer", &length)), answer);
-        remove("revoked.test");
     }
+}
+
+static void lists(void)
+{
+    static struct sealed_key key;
+    static char list[SEALED_REVOKED * SEALED_SERIAL];
+    static const struct sealed_claim first = {"0b:00", 10}, second = {"0b:01", 10};
+    int i;
+    check(uses(&key, "# number 7\n0b:00\n# end\n"), "the first list");
+    check(!uses(&key, "# number 6\n0b:01\n# end\n"), "an older list");
+    check(!uses(&key, "# number 8\n0b:01\n"), "a list that was cut off");
+    check(!uses(&key, "# number 8\nhello\n# end\n"), "a list of something else");
+    check(!uses(&key, ""), "an empty list");
+    sprintf(list, "# number 8\n");
+    for (i = 0; i <= SEALED_REVOKED; i++)
+        sprintf(list + strlen(list), "%02x:%02x\n", i >> 8, i & 255);
+    strcat(list, "# end\n");
+    check(!uses(&key, list), "a list without room");
+    check(!sealed_read_revoked(&key, "no/such/file"), "no list");
+    check(key.revoked.number == 7 && sealed_invalid(&key, &first, 10) && !sealed_invalid(&key, &second, 10), "the first list remains");
+    check(uses(&key, "# number 8\n0b:01\n# end\n"), "a later list");
+    check(!sealed_invalid(&key, &first, 10) && sealed_invalid(&key, &second, 10), "it replaces the first one");
+    check(strstr(sealed_invalid(&key, &first, 11), "expired") != NULL, "a pass that has expired");
 }
 
 int main(int argc, char **argv)
@@ -186,6 +211,7 @@ int main(int argc, char **argv)
         return 1;
     }
     handshake();
+    lists();
     if (!failed)
         printf("all is as published\n");
     return failed;

@@ -4,7 +4,7 @@
 Needs Python 3.9 and its standard library: python3 robot.py --listen 127.0.0.1:7000 [--identity arm-1.pem [--revoked revoked.pem]]
 Each device is a sensor, or is driven by one control type and scripts of it, and holds a value until the next is set.
 """
-import argparse, asyncio, contextlib, datetime, hashlib, json, math, re, ssl, time, types, urllib.parse
+import argparse, asyncio, base64, contextlib, datetime, hashlib, json, math, os, re, ssl, sys, tempfile, time, types, urllib.parse
 
 ANGLES = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
@@ -33,6 +33,7 @@ SPIN = 1.5 * MS                                 # busy-waits for this long befor
 
 class Refused(ValueError):
     """The arguments are the message and the code of the answer."""
+    def __str__(self): return self.args[0]
 def need(condition, message, code="malformed"):
     if not condition:
         raise Refused(message, code)
@@ -147,13 +148,14 @@ def check(c, device, now):
     need(len(device.held) < device.queue, "the device holds as many commands as it can", "busy")
 
 class Robot:
-    def __init__(self, arm):
+    def __init__(self, arm, keys=None):
         self.arm, self.links, self.owner, self.owner_heard = arm, [], None, 0
+        self.keys, self.key = keys, None        # None without TLS; the key with which the owner last proved its identity
         self.seized = None, None                # from which session, and by whom
         self.answers, self.facts = {}, {}       # by request_id: the last answer, and further data for inquiries
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
-        self.watching = asyncio.get_running_loop().create_task(self.watch())
+        self.watching = asyncio.gather(self.watch(), *[self.watch_keys()] if keys else [])
     def run(self):
         """Runs the due actions in order of time; at the same instant, leases before steps. Then waits for the next action. An ended lease
         of a running command comes first: a delayed robot would otherwise do steps that were due before."""
@@ -243,7 +245,7 @@ class Robot:
                 device.taken_back = min(device.taken_back, time.time_ns())
         link.heard, link.spoken, link.session = now, True, session or link.session
         if link.session == self.owner:
-            self.owner_heard = now
+            self.owner_heard, self.key = now, link.key
         if self.owner not in (None, session) and session and self.seized[0] == session:
             return f"`{BLOCK['id']}` was taken over by {self.seized[1]}"
         if self.owner not in (None, session):
@@ -260,6 +262,7 @@ class Robot:
     def take(self, link, line, received):
         """The answer to a line."""
         def permit(*roles):                     # for a peer with a proven identity; before anything is renewed or claimed
+            need(not (why := self.invalid(link.key)), why, "forbidden")
             told = f"the role{'s' * (len(link.roles) > 1)} {', '.join(sorted(link.roles))}" if link.roles else "no role"
             need(link.roles is None or link.roles & set(roles), f"{link.who} has {told}, but this requires the role {' or '.join(roles)}", "forbidden")
         name, body, result, kind = None, None, {"status": "OK"}, "availability_response"
@@ -371,9 +374,28 @@ class Robot:
                 if now - link.heard > FIRST if not link.spoken else not self.owns(link) and now - link.begun > BEGUN:
                     self.let_go(link)
             await asyncio.sleep(0.25)
+    def invalid(self, key): return key and self.keys.invalid(*key)
+    def end_invalid(self):
+        """Ends what the robot holds for keys that are no longer valid, also if their connections have broken; then closes these."""
+        now, owners = time.time_ns(), self.owner and self.invalid(self.key)
+        for device in self.devices.values():
+            others = [self.invalid(c.link.key) for c in device.held + device.left_on if not c.session]
+            why = next(filter(None, [owners, *others]), None)
+            if why:
+                self.rest(device, "forbidden", why, now)
+        if owners:
+            self.owner = None
+        for link in [link for link in self.links if self.invalid(link.key)]:
+            log(f"the connection of {link.who} is closed: {self.invalid(link.key)}")
+            self.let_go(link)
+    async def watch_keys(self):
+        while True:
+            await asyncio.sleep(1)
+            await asyncio.to_thread(self.keys.refresh)      # a slow disk must not delay steps
+            self.end_invalid()
     async def converse(self, reader, writer):
         link = types.SimpleNamespace(writer=writer, session=None, heard=time.monotonic_ns(), spoken=False, begun=NEVER)
-        link.who, link.roles = proven(writer.get_extra_info("peercert"))
+        link.who, link.roles, link.key = proven(writer.get_extra_info("peercert"))
         if not self.let_in(link):
             return writer.transport.abort()
         with contextlib.closing(writer), contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
@@ -383,7 +405,7 @@ class Robot:
                 link.begun = time.monotonic_ns()
                 line += await reader.readuntil(b"\n") if line != b"\n" else b""
                 self.run()                      # handles actions that were due before the message
-                if line.strip():
+                if line.strip() and link in self.links:
                     send(link, self.take(link, line, time.time_ns()))
                 self.run()                      # then actions that the message made due
                 await asyncio.sleep(0)          # lets other tasks run
@@ -394,24 +416,99 @@ def own(link, session):
     return session and (link.who, session)
 
 def proven(certificate):
-    """The peer's identity and roles, from the URIs of its certificate; (None, None) without TLS."""
+    """The peer's identity, roles and key, from its certificate; None without TLS."""
     if certificate is None:
-        return None, None
+        return None, None, None
     uris = [uri.split(":", 2)[1:] for kind, uri in certificate.get("subjectAltName", ()) if kind == "URI" and uri.count(":") > 1]
     names = [f"{kind} {urllib.parse.unquote(name)}" for kind, name in uris if kind in ("operator", "robot")]
-    return "".join(names) or "nobody", {role for kind, role in uris if kind == "role"}
+    key = int(certificate["serialNumber"], 16), ssl.cert_time_to_seconds(certificate["notAfter"])
+    return "".join(names) or "nobody", {role for kind, role in uris if kind == "role"}, key
 
-def guard(identity, revoked):
-    """TLS 1.3 for operators of the authority that made this identity file: a key, its certificate, and the authority's."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version, context.verify_mode, context.num_tickets = ssl.TLSVersion.TLSv1_3, ssl.CERT_REQUIRED, 0
-    context.load_cert_chain(identity)
-    with open(identity) as file:
-        context.load_verify_locations(cadata="".join(file.read().rpartition("-----BEGIN CERTIFICATE-----")[1:]))
-    if revoked:
-        context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
-        context.load_verify_locations(revoked)
-    return context
+class Keys:
+    """TLS 1.3 for operators of the authorities in the identity file: a key, its certificate, and those of one or two authorities. A list
+    of revoked certificates, if it has a path, is read again when it changes."""
+    def __init__(self, identity, path):
+        with open(identity) as file:
+            self.authority = file.read().partition("-----END CERTIFICATE-----\n")[2]
+        self.tls, self.path = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), path
+        self.tls.minimum_version, self.tls.verify_mode, self.tls.num_tickets = ssl.TLSVersion.TLSv1_3, ssl.CERT_REQUIRED, 0
+        self.tls.load_cert_chain(identity)
+        self.tls.load_verify_locations(cadata=self.authority)
+        self.seen, (self.number, self.revoked) = self.stamp(), self.read() if path else (0, set())
+        if path:
+            self.follow_authorities()
+    def follow_authorities(self):
+        """Trusts an authority that the file introduces, and no longer trusts one that has ended."""
+        listed = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        listed.load_verify_locations(self.path)
+        signed = [found for found in listed.get_ca_certs() if found["subject"] != found["issuer"]]
+        if len(signed) < listed.cert_store_stats()["x509"]:     # it would be trusted without a signature
+            raise SystemExit(f"{self.path}: no other authority signed a certificate in it; expected the file that `downbeat keys` wrote")
+        if listed.cert_store_stats()["crl"] > 1:
+            self.tls.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN     # the whole chain: a list ends its own authority by containing it
+            self.tls.load_verify_locations(self.path)
+    def invalid(self, serial, expires):
+        """Why a key is not valid, or None."""
+        expired = "the operator's key has expired" if expires < time.time() else None
+        return "the operator's key was revoked" if serial in self.revoked else expired
+    def stamp(self):
+        with contextlib.suppress(OSError):
+            at = os.stat(self.path or "")
+            return at.st_ino, at.st_size, at.st_mtime_ns, at.st_ctime_ns
+    def refresh(self):
+        """Uses a new list, unless it is older than the list in use, or damaged, or of another authority."""
+        if self.seen == (stamp := self.stamp()):
+            return
+        self.seen = stamp
+        try:
+            number, revoked = self.read()
+            need(number >= self.number, f"{self.path}: its number {number} is smaller than {self.number}, that of the list in use")
+            self.number, self.revoked = number, revoked
+        except Exception as fault:
+            log(f"{fault}; the previous list remains in use")
+    def read(self):
+        """The number of the list, and the serial numbers in it (RFC 5280, section 5)."""
+        with open(self.path) as file:
+            lists = re.finditer("-----BEGIN X509 CRL-----([^-]*)-----END X509 CRL-----\n", file.read(1 << 23))
+        pem = next((each for each in lists if self.has_signed(each[0])), None)
+        need(pem, f"{self.path}: expected a list that `downbeat keys` wrote and the robot's authority signed")
+        fields = der(der(der(base64.b64decode(pem[1]))[0][1])[0][1])
+        entries = [content for tag, content in fields if tag == 0x30][2:]     # after the algorithm and the issuer
+        extensions = [der(each) for tag, content in fields if tag == 0xA0 for _, each in der(der(content)[0][1])]
+        numbers = [der(each[-1][1])[0][1] for each in extensions if each[0][1] == b"U\x1d\x14"]
+        integer = lambda content: int.from_bytes(content, "big")
+        return integer(b"".join(numbers)), {integer(der(each)[0][1]) for content in entries for _, each in der(content)}
+    def has_signed(self, pem):
+        """OpenSSL checks the signature of a list if it looks up a certificate in it: here the robot's own, in a handshake in memory."""
+        judge, sent, answered = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.MemoryBIO(), ssl.MemoryBIO()
+        judge.check_hostname = False
+        judge.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF | 0x200000    # X509_V_FLAG_NO_CHECK_TIME: an overdue list remains in use
+        with tempfile.NamedTemporaryFile("w") as file:
+            file.write(self.authority + pem)
+            file.flush()
+            judge.load_verify_locations(file.name)
+        client = judge.wrap_bio(answered, sent)
+        for side in client, self.tls.wrap_bio(sent, answered, server_side=True), client:
+            try:
+                side.do_handshake()
+                return True
+            except ssl.SSLWantReadError:
+                pass
+            except ssl.SSLCertVerificationError as fault:
+                return fault.verify_code == 23  # X509_V_ERR_CERT_REVOKED: the robot's own is on the list
+
+def der(data, at=0):
+    """The tag and the content of each element."""
+    found = []
+    while at < len(data):
+        tag, size, at = data[at], data[at + 1], at + 2
+        if size > 128:                          # then it is the size of the actual size
+            size, at = int.from_bytes(data[at:at + size - 128], "big"), at + size - 128
+        found.append((tag, data[at:at + size]))
+        at += size
+    return found
+
+def log(text): print(text, file=sys.stderr, flush=True)
 
 def send(link, message):
     if message and not link.writer.is_closing():
@@ -423,12 +520,15 @@ async def main():
     arguments = argparse.ArgumentParser()
     arguments.add_argument("--listen", default="127.0.0.1:0", help="HOST:PORT; port 0 is any that is free")
     arguments.add_argument("--identity", help="the file that `downbeat keys robot` made; without it anyone can move the robot")
-    arguments.add_argument("--revoked", help="the list that `downbeat keys revoke` wrote; read once")
+    arguments.add_argument("--revoked", help="the list that `downbeat keys revoke` wrote; read again when it changes")
     given = arguments.parse_args()
     host, _, port = given.listen.rpartition(":")
-    tls = guard(given.identity, given.revoked) if given.identity else None
-    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls,
-                                        ssl_handshake_timeout=FIRST / 1e9 if tls else None)
+    try:
+        keys = Keys(given.identity, given.revoked) if given.identity else None
+    except (OSError, ValueError) as fault:
+        sys.exit(str(fault))
+    server = await asyncio.start_server(Robot(Arm(), keys).converse, host.strip("[]"), int(port), limit=MAX_LINE,
+                                        **{"ssl": keys.tls, "ssl_handshake_timeout": FIRST / 1e9} if keys else {})
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     await server.serve_forever()
 

@@ -491,7 +491,7 @@ fn pending_until(trial: &Trial) -> Checked {
     // Read the clock first, so that a pause between these two lines does not make the robot appear early.
     let until = trial.now() + PERIOD;
     let inquired = line.inquire(&until_after(trial, PERIOD, &moved))?;
-    ends_at(trial, &mut line, (ticket, &moved), (until, &inquired.sent))
+    ends_at(trial, &mut line, ticket, Limited { request: &moved, until, sent: &inquired.sent })
 }
 
 fn own_pending_until(trial: &Trial) -> Checked {
@@ -508,16 +508,19 @@ fn own_pending_until(trial: &Trial) -> Checked {
     let request = limited(PERIOD);
     let ticket = line.held(&request)?;
     let sent = line.asked(ticket).text.clone();
-    ends_at(trial, &mut line, (ticket, &request), (until, &sent))
+    ends_at(trial, &mut line, ticket, Limited { request: &request, until, sent: &sent })
+}
+
+/// A request that ends at the instant `until`, and the text of the message that has set this instant.
+struct Limited<'a> {
+    request: &'a ControlRequest,
+    until: Timestamp<Server>,
+    sent: &'a str,
 }
 
 /// Checks that a request ends at its `pending_until` instant, even if further inquiries arrive before it.
-fn ends_at(
-    trial: &Trial,
-    line: &mut Line,
-    (ticket, request): (Ticket, &ControlRequest),
-    (until, sent): (Timestamp<Server>, &str),
-) -> Checked {
+fn ends_at(trial: &Trial, line: &mut Line, ticket: Ticket, limited: Limited<'_>) -> Checked {
+    let Limited { request, until, sent } = limited;
     // The first inquiry renews the lease without naming the request. The second names the request, but sets no instant.
     let asks = [Inquiry::default(), about(&[request])];
     for inquiry in asks.iter().cycle() {

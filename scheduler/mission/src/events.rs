@@ -26,6 +26,8 @@ pub enum Event {
         robot: RobotIndex,
         /// The expiry of the robot's certificate, if the robot has presented one.
         until: Option<Timestamp<Server>>,
+        /// Whether another authority replaces the one that issued the robot's certificate.
+        is_of_replaced_authority: bool,
     },
     /// A link to a robot broke or could not be made.
     LinkDown {

@@ -318,9 +318,11 @@ impl Mission {
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),
-            Event::Proven { robot, until } => {
-                self.robots[robot].proven = true;
-                self.robots[robot].certified_until = until;
+            Event::Proven { robot, until, is_of_replaced_authority } => {
+                let robot = &mut self.robots[robot];
+                robot.proven = true;
+                robot.certified_until = until;
+                robot.is_of_replaced_authority = is_of_replaced_authority;
             }
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),

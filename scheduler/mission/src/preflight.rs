@@ -214,6 +214,10 @@ const DAY_MS: i64 = 24 * 3_600 * 1_000;
 
 fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
     match robot.certified_until.map(|until| until - now).filter(|left| *left < EXPIRES_SOON) {
+        None if robot.is_of_replaced_authority => Verdict::Warning(format!(
+            "its certificate is of an authority that is being replaced: copy its new identity file to it, after `downbeat keys renew {}`",
+            robot.own_id
+        )),
         None => Verdict::Pass(robot.own_id.to_string()),
         Some(left) => {
             let days = left.as_nanos() / 1_000_000 / DAY_MS;

@@ -365,7 +365,7 @@ pub(super) fn open_without_name(
     let is_start = response.status == Status::Started;
     let all = || acts.iter().flat_map(|act| of_device(act, robot, device));
     let fits = |script: &Script, state: &ScriptState| match response.status {
-        Status::Accepted => *state == ScriptState::Sent,
+        Status::Accepted => script.awaits_answer(),
         // A script that is known to run may not have started yet. Another process may have sent one that this process has not.
         Status::Started => {
             matches!(state, ScriptState::Sent | ScriptState::Held)
@@ -375,7 +375,7 @@ pub(super) fn open_without_name(
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
         Status::Provide => false,
         // A robot that only answers requests does not report the failure of a script that it has accepted.
-        _ if says == Says::Answers => *state == ScriptState::Sent,
+        _ if says == Says::Answers => script.awaits_answer(),
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
     // A robot repeats its last response to a repeated request.
@@ -393,12 +393,15 @@ pub(super) fn open_without_name(
         (lease.is_none(), lease, Reverse((script.act, script.script)))
     };
     let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
+    let late = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::Late);
     let found = match response.status {
         Status::Started => open.min_by_key(off),
         // Of two that would end at the same instant, the one that has begun last: the other has ended before it, without a received
         // report.
         Status::Ok => open.reduce(|found, other| if off(&other) <= off(&found) { other } else { found }),
         Status::Failed if ran_out => open.min_by_key(lease),
+        // A script that came too late is refused in the answer to its request.
+        Status::Failed if late => open.min_by_key(|(.., script)| !script.awaits_answer()),
         _ => open.next(),
     };
     found.map(|(_, script, _)| script)

@@ -224,7 +224,7 @@ impl Mission {
             // Scripts beyond a device's queue are sent once there is room. If one was already sent, its id shows that.
             for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
                 let act = self.acts.iter_mut().find(|act| act.number() == script.act);
-                act.into_iter().for_each(|act| act.sent(now, script));
+                act.into_iter().for_each(|act| act.assume_sent(now, script));
             }
         }
     }

@@ -244,6 +244,8 @@ pub(crate) struct RobotState {
     pub(crate) proven: bool,
     /// The expiry of the robot's certificate, if it has presented one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
+    /// Whether another authority replaces the one that issued the robot's certificate.
+    pub(crate) is_of_replaced_authority: bool,
     /// The session to which the robot belongs, as known during the greeting.
     pub(crate) ownership: Ownership,
     pub(crate) link: Link,
@@ -340,6 +342,7 @@ impl RobotState {
             own_id: participant.own_id().clone(),
             proven: false,
             certified_until: None,
+            is_of_replaced_authority: false,
             ownership: Ownership::default(),
             id: participant.id,
             link: Link::Connecting,

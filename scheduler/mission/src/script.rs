@@ -108,6 +108,8 @@ pub(crate) struct Script {
     first_sent_at: Option<Timestamp<Server>>,
     /// Whether another process may have sent the script before this process took over, even if its robot has not reported on it.
     perhaps_sent: bool,
+    /// Whether this process itself has sent the script.
+    sent_here: bool,
     /// Whether the robot no longer knows the script, although it had accepted it.
     lost: bool,
 }
@@ -141,6 +143,7 @@ impl Script {
             sent_at: None,
             first_sent_at: None,
             perhaps_sent: false,
+            sent_here: false,
             lost: false,
         }
     }
@@ -307,9 +310,20 @@ impl Script {
     }
 
     pub(super) fn sent(&mut self, now: Timestamp<Server>) {
+        self.sent_here = true;
+        self.assume_sent(now);
+    }
+
+    /// Treats the script as sent, because another process may have sent it.
+    pub(super) fn assume_sent(&mut self, now: Timestamp<Server>) {
         self.state = ScriptState::Sent;
         self.sent_at = Some(now);
         self.first_sent_at.get_or_insert(now);
+    }
+
+    /// Whether the robot owes this process an answer to the script's request. Answers to another process went to that process.
+    pub(super) const fn awaits_answer(&self) -> bool {
+        self.sent_here && matches!(self.state, ScriptState::Sent)
     }
 
     /// Whether the script was sent, or another process may have sent it.

@@ -5,14 +5,14 @@ use urrcp::Span;
 /// A commanded movement, scaled to size one: consecutive parts that form a step, a ramp, or a staircase of steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Commanded {
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Vec<MovementPart>,
     /// Whether the readings have to cover only the start of the movement.
     begins: bool,
 }
 
 /// A part of the movement, at constant speed. Times are in milliseconds since the start of the movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Part {
+pub(super) struct MovementPart {
     pub(super) begins: f64,
     pub(super) lasts: f64,
     pub(super) share: f64,
@@ -22,7 +22,7 @@ impl Commanded {
     /// Creates a movement at constant speed with the duration `lasts`. A duration of zero creates a step.
     #[must_use]
     pub fn ramp(lasts: Span) -> Self {
-        let parts = vec![Part { begins: 0.0, lasts: lasts.as_millis_f64().max(0.0), share: 1.0 }];
+        let parts = vec![MovementPart { begins: 0.0, lasts: lasts.as_millis_f64().max(0.0), share: 1.0 }];
         Self { parts, begins: false }
     }
 
@@ -36,7 +36,7 @@ impl Commanded {
     /// start of the movement and its share of the whole movement.
     #[must_use]
     pub fn stairs(steps: impl IntoIterator<Item = (Span, f64)>) -> Self {
-        let part = |(at, share): (Span, f64)| Part { begins: at.as_millis_f64(), lasts: 0.0, share };
+        let part = |(at, share): (Span, f64)| MovementPart { begins: at.as_millis_f64(), lasts: 0.0, share };
         Self { parts: steps.into_iter().map(part).collect(), begins: false }
     }
 

@@ -2,7 +2,7 @@
 
 use urrcp::Span;
 
-use super::commanded::{Commanded, Part};
+use super::commanded::{Commanded, MovementPart};
 
 /// Time constants below this, in milliseconds, are treated as zero.
 const NO_LAG: f64 = 1e-3;
@@ -72,7 +72,7 @@ impl From<downbeat_fleet::fleet::Lag> for Lag {
     }
 }
 
-impl Part {
+impl MovementPart {
     fn response(self, lag: Lag, after: f64) -> f64 {
         if after <= 0.0 {
             return 0.0;

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec, Timeouts};
+use downbeat_robot::driver::{self, AtEnd, Driver, DriverError, DriverOptions, DriverSpec, Timeouts};
 use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
 use downbeat_scripts::{
-    Act, Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Positions, RateLimits,
-    SimulatedMoves, Wait, counted, plan_approach, plan_home,
+    Act, Address, Choreography, DmxAddress, DmxProtocol, Fleet, FleetRobot, Handshake, MissionSettings,
+    OscAddress, Plan, Positions, RateLimits, SimulatedMoves, Wait, counted, plan_approach, plan_home,
 };
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
@@ -122,7 +122,7 @@ fn settings_of(robot: &FleetRobot) -> MissionSettings {
     let encoding = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => robot.mission.encoding,
         // Messages within this process are not encoded.
-        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
+        _ => Encoding::Json,
     };
     MissionSettings { encoding, ..robot.mission.clone() }
 }
@@ -280,15 +280,39 @@ impl Driver for NotStarted {
     }
 }
 
+/// Returns the driver for the hardware at an address. `None` if the robot itself listens at the address.
+#[must_use]
+pub fn driver_of(address: &Address) -> Option<DriverSpec> {
+    match address {
+        Address::Tcp { .. } | Address::Zenoh { .. } => None,
+        Address::Simulated => Some(DriverSpec::Simulated),
+        Address::Thrift { host, port } => Some(DriverSpec::Thrift { host: host.clone(), port: *port }),
+        Address::Dmx(address) => Some(DriverSpec::Dmx(fixture(address))),
+        Address::Osc(OscAddress { host, port, path }) => {
+            Some(DriverSpec::Osc(driver::OscAddress::new(host.clone(), *port, path.clone())))
+        }
+        Address::Program { command } => Some(DriverSpec::Program { command: command.clone() }),
+    }
+}
+
+fn fixture(address: &DmxAddress) -> driver::DmxAddress {
+    let protocol = match address.protocol {
+        DmxProtocol::Sacn => driver::DmxProtocol::Sacn,
+        DmxProtocol::ArtNet => driver::DmxProtocol::ArtNet,
+    };
+    let at_end = if address.blackout { AtEnd::Blackout } else { AtEnd::Hold };
+    driver::DmxAddress::new(protocol, address.universe, address.channel, address.host.clone())
+        .with_priority(address.priority.unwrap_or(driver::PRIORITY))
+        .with_at_end(at_end)
+}
+
 /// Creates the robot if it runs in this process: a simulated one, or one with a driver for its hardware. Returns `None` if the robot
 /// listens at a network address itself.
 fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
-    let spec = match &robot.address {
-        Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
-        Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
-        Address::Thrift { host, port } => DriverSpec::Thrift { host: host.clone(), port: *port },
-        Address::Program { command } => DriverSpec::Program { command: command.clone() },
-    };
+    let Some(spec) = driver_of(&robot.address) else { return Ok(None) };
+    if spec == DriverSpec::Simulated {
+        return Ok(Some(simulated(robot, seed)?.into()));
+    }
     let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
     let refused = |error| EndpointError::Driver { robot: robot.id.clone(), error };
     let driver = match (&spec, drivers.programs) {

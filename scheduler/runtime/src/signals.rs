@@ -20,7 +20,7 @@ use downbeat_mission::Rest;
 
 /// A signal that asks the program to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
+pub enum EndSignal {
     /// SIGINT, for example from Ctrl-C.
     Interrupt,
     /// SIGTERM, for example from a supervisor. Also SIGPWR and SIGXCPU.
@@ -68,7 +68,7 @@ pub fn restore_before_death(restore: fn()) {
 
 /// Ends the process as the signal would have done if the program had not caught it. Waits at most half a second for the function set by
 /// [`restore_before_death`].
-pub fn die_of(asked: Asked) {
+pub fn die_of(asked: EndSignal) {
     if let Some(restore) = BEFORE_DEATH.get() {
         let (done, restored) = sync_channel(1);
         // The function runs on its own thread, because it may block for the same reason as the process.
@@ -83,7 +83,7 @@ pub fn die_of(asked: Asked) {
     }
 }
 
-impl Asked {
+impl EndSignal {
     const fn number(self) -> i32 {
         match self {
             Self::Interrupt => SIGINT,
@@ -137,16 +137,16 @@ impl Signals {
     }
 
     /// Waits for the next signal that asks the program to end.
-    pub async fn next(&mut self) -> Asked {
+    pub async fn next(&mut self) -> EndSignal {
         let [power, processor] = &mut self.last;
         tokio::select! {
-            () = received(&mut self.home) => Asked::Home,
-            _ = self.interrupt.recv() => Asked::Interrupt,
-            _ = self.terminate.recv() => Asked::Terminate,
-            _ = self.quit.recv() => Asked::Quit,
-            () = received(&mut self.hang_up) => Asked::HangUp,
-            _ = power.recv() => Asked::Terminate,
-            _ = processor.recv() => Asked::Terminate,
+            () = received(&mut self.home) => EndSignal::Home,
+            _ = self.interrupt.recv() => EndSignal::Interrupt,
+            _ = self.terminate.recv() => EndSignal::Terminate,
+            _ = self.quit.recv() => EndSignal::Quit,
+            () = received(&mut self.hang_up) => EndSignal::HangUp,
+            _ = power.recv() => EndSignal::Terminate,
+            _ = processor.recv() => EndSignal::Terminate,
         }
     }
 }

@@ -19,8 +19,8 @@ pub use brief::{preflight_warnings, rounded};
 pub use course::course_lines;
 pub use required::requirements_table;
 pub use text::{
-    Detail, TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration,
-    plan_table, preflight_table, report_text,
+    Detail, PreflightDetails, TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text,
+    main_duration, plan_table, preflight_table, report_text,
 };
 pub use trials::trials_text;
 pub use wait::waits;

@@ -13,7 +13,7 @@ use downbeat_scripts::shown::within;
 use downbeat_scripts::{Act, FleetRobot};
 
 use self::cues::Cues;
-use self::head::Kind;
+use self::head::DrawingKind;
 use self::lanes::Lanes;
 use super::ruler::{Tick, length, ticks};
 use downbeat_mission::report::ActReport;
@@ -86,9 +86,9 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     let first_lane = TOP + GAP + cues.height() + GAP;
     let bottom = first_lane + lanes.height();
     let mut svg = String::new();
-    head::open(&mut svg, &act.plan.scenario, played, (frame.full_width(), bottom + BOTTOM));
+    head::open(&mut svg, &act.plan.scenario, played, frame.full_width(), bottom + BOTTOM);
     head::legend(&mut svg, LEGEND, &kinds(act, &lanes));
-    head::grid(&mut svg, &frame, (TOP, bottom));
+    head::grid(&mut svg, &frame, TOP, bottom);
     cues.draw(&mut svg, TOP + GAP);
     lanes.draw(&mut svg, first_lane, &frame, reported, played);
     if let Some(note) = lanes.note() {
@@ -99,13 +99,13 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
 }
 
 /// Returns the kinds of drawing, such as cues and planned values, that the picture of an act contains.
-fn kinds(act: &Act, lanes: &Lanes<'_>) -> Vec<Kind> {
+fn kinds(act: &Act, lanes: &Lanes<'_>) -> Vec<DrawingKind> {
     let occurs = [
-        (Kind::Cue, act.cues.iter().any(|cue| !cue.critical)),
-        (Kind::Critical, act.cues.iter().any(|cue| cue.critical)),
-        (Kind::Planned, true),
-        (Kind::Further, lanes.has_further_values()),
-        (Kind::Set, true),
+        (DrawingKind::Cue, act.cues.iter().any(|cue| !cue.critical)),
+        (DrawingKind::Critical, act.cues.iter().any(|cue| cue.critical)),
+        (DrawingKind::Planned, true),
+        (DrawingKind::Further, lanes.has_further_values()),
+        (DrawingKind::Set, true),
     ];
     occurs.into_iter().filter(|(_, occurs)| *occurs).map(|(kind, _)| kind).collect()
 }

@@ -212,15 +212,24 @@ fn plan_figures(act: &Act) -> String {
     )
 }
 
-/// Returns the preflight checks as tables with a row per robot and a column per check. If `told` is true, readings, problems and
-/// predictions follow.
+/// Whether the readings, problems and predictions of a preflight follow its tables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PreflightDetails {
+    /// The details follow the tables.
+    Shown,
+    /// Only the tables are shown.
+    Hidden,
+}
+
+/// Returns the preflight checks as tables with a row per robot and a column per check, and the details if they are requested.
 #[must_use]
-pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> String {
+pub fn preflight_table(preflight: &Preflight, details: PreflightDetails, columns: usize) -> String {
     // Each of the two tables contains half of the checks, so that a row fits a terminal of 80 columns.
     let (who, how) = Check::ALL.split_at(Check::ALL.len().div_ceil(2));
     let tables = [who, how].map(|checks| checks_table(preflight, checks, columns));
     let mut text = tables.join("\n");
-    if told {
+    let shows_details = details == PreflightDetails::Shown;
+    if shows_details {
         text.push_str(&readings_table(preflight, columns));
         let wrong = preflight.rows.iter().flat_map(wrong_lines);
         wrong.for_each(|line| say(&mut text, columns, &line));
@@ -229,7 +238,7 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
             say(&mut text, columns, &budget_text(skew));
         }
     }
-    for after in preflight.after_failures.iter().filter(|_| told) {
+    for after in preflight.after_failures.iter().filter(|_| shows_details) {
         say(&mut text, columns, &after_failure_text(after));
     }
     if preflight.greeting == Greeting::Skip {
@@ -348,7 +357,7 @@ pub fn report_text(report: &Report, detail: Detail, columns: usize) -> String {
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
-        text.push_str(&preflight_table(preflight, true, columns));
+        text.push_str(&preflight_table(preflight, PreflightDetails::Shown, columns));
         let wake_up = report.wake_up.iter().flat_map(HostWakeUp::sentences);
         wake_up.for_each(|sentence| say(&mut text, columns, &sentence));
         return text;

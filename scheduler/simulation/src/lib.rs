@@ -98,19 +98,19 @@ pub enum Happened {
 /// Plays the mission of a seed to its end, and observes the robots afterwards.
 #[must_use]
 pub fn run(seed: u64) -> Ran {
-    world::play(draw(seed), false)
+    world::play(draw(seed), world::HistoryDetail::Checks)
 }
 
 /// Plays a drawn mission.
 #[must_use]
 pub fn play(drawn: Drawn) -> Ran {
-    world::play(drawn, false)
+    world::play(drawn, world::HistoryDetail::Checks)
 }
 
 /// Like [`play`], but keeps every message for a trace.
 #[must_use]
 pub fn play_verbosely(drawn: Drawn) -> Ran {
-    world::play(drawn, true)
+    world::play(drawn, world::HistoryDetail::Trace)
 }
 
 /// Returns all violations of a mission. If a comparison with the same mission without faults could find violations, also plays that
@@ -134,7 +134,7 @@ pub fn judge(ran: &Ran) -> Verdict {
 /// Like [`run`], but keeps every message for a trace.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
-    world::play(draw(seed), true)
+    world::play(draw(seed), world::HistoryDetail::Trace)
 }
 
 #[cfg(test)]

@@ -95,7 +95,7 @@ pub async fn measure(
     let mut mover = Mover { talk, planned, rest: &rest, lasts, watched: WATCHED_FIRST, at_from: true };
     let was = planned.on_grid(rest.position);
     mover.settle(was, from).await?;
-    let result = mover.trials((from, to), trials, &mut tell).await;
+    let result = mover.trials(from, to, trials, &mut tell).await;
     // The device is moved back whatever the result. If that fails too, the first error is returned, because it is more informative.
     let here = if mover.at_from { from } else { to };
     let back = mover.settle(here, was).await;
@@ -108,7 +108,7 @@ async fn at_rest(talk: &mut RobotDialogue, planned: &PlannedDevice) -> Result<At
     let mut readings = Vec::new();
     let began = talk.now();
     for _ in 0..AT_REST {
-        readings.push(RobotDialogue::reading_since(began, talk.read_again(&planned.how.sensor).await?));
+        readings.push(talk.read_again(&planned.how.sensor).await?.since(began));
         talk.ping().await?;
     }
     let link = talk.clock_reading().map_or(Span::ZERO, |reading| reading.delay_min);
@@ -144,7 +144,8 @@ impl Mover<'_> {
     /// Moves the device to and fro until its latency is known, or until the maximum number of trials is reached.
     async fn trials(
         &mut self,
-        (from, to): (f64, f64),
+        from: f64,
+        to: f64,
         wanted: usize,
         tell: &mut impl FnMut(Progress),
     ) -> Result<Estimate, NotMeasured> {
@@ -207,8 +208,7 @@ impl Mover<'_> {
         let until = start + self.lasts + self.watched;
         let mut samples = Vec::new();
         while self.talk.now() < until {
-            let read = self.talk.read_again(&self.planned.how.sensor).await?;
-            let reading = RobotDialogue::reading_since(start, read);
+            let reading = self.talk.read_again(&self.planned.how.sensor).await?.since(start);
             let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
             samples.push(Sample {
                 at: at - self.planned.how.sensor_delay,

@@ -69,6 +69,17 @@ pub enum DialogueError {
     Clock(Span),
 }
 
+/// A sensor's value, with the times at which it was requested and received.
+#[derive(Clone, Copy, Debug)]
+pub struct TimedReading {
+    /// When the request was sent.
+    pub asked: Timestamp<Server>,
+    /// When the response arrived.
+    pub answered: Timestamp<Server>,
+    /// The value, in the unit of the sensor.
+    pub value: f64,
+}
+
 /// A dialogue with one robot.
 pub struct RobotDialogue {
     link: Link,
@@ -261,14 +272,13 @@ impl RobotDialogue {
     ///
     /// # Errors
     /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
-    pub async fn read(
-        &mut self,
-        sensor: &DeviceId,
-    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), DialogueError> {
+    pub async fn read(&mut self, sensor: &DeviceId) -> Result<TimedReading, DialogueError> {
         let request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         let (sent, at, response) = self.ask(request).await?;
         match (response.status, response.status_value) {
-            (Status::Provide, StatusValue::Number(value)) => Ok((sent, at, value)),
+            (Status::Provide, StatusValue::Number(value)) => {
+                Ok(TimedReading { asked: sent, answered: at, value })
+            }
             _ => Err(refusal(response.error.as_ref())),
         }
     }
@@ -277,10 +287,7 @@ impl RobotDialogue {
     ///
     /// # Errors
     /// Returns [`DialogueError`] if the robot does not answer, if it cannot be used, or if several consecutive readings are missed.
-    pub async fn read_again(
-        &mut self,
-        sensor: &DeviceId,
-    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), DialogueError> {
+    pub async fn read_again(&mut self, sensor: &DeviceId) -> Result<TimedReading, DialogueError> {
         for _ in 0..MISSED_MAX {
             match self.read(sensor).await {
                 Err(DialogueError::Refused(_)) => {}
@@ -358,14 +365,13 @@ impl RobotDialogue {
             _ => Err(refusal(response.error.as_ref())),
         }
     }
+}
 
-    /// Converts a reading for the estimator, with times relative to `start`.
+impl TimedReading {
+    /// Converts the reading for the estimator, with times relative to `start`.
     #[must_use]
-    pub fn reading_since(
-        start: Timestamp<Server>,
-        (asked, answered, value): (Timestamp<Server>, Timestamp<Server>, f64),
-    ) -> Reading {
-        Reading { asked: asked - start, answered: answered - start, value }
+    pub fn since(self, start: Timestamp<Server>) -> Reading {
+        Reading { asked: self.asked - start, answered: self.answered - start, value: self.value }
     }
 }
 

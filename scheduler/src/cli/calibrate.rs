@@ -250,7 +250,7 @@ async fn all(
     let session = session()?;
     let (mut outcomes, mut exit) = (Vec::new(), Exit::Done);
     for (planned, endpoint) in robots.iter().zip(endpoints) {
-        let ended = one(planned, endpoint, &session, (args, format), &mut signals, &mut outcomes).await;
+        let ended = one(planned, endpoint, &session, args, format, &mut signals, &mut outcomes).await;
         if ended != Exit::Done {
             exit = ended;
             break;
@@ -277,7 +277,8 @@ async fn one(
     planned: &PlannedRobot<'_>,
     endpoint: Endpoint,
     session: &Session,
-    (args, format): (&CalibrateArgs, Format),
+    args: &CalibrateArgs,
+    format: Format,
     signals: &mut Signals,
     outcomes: &mut Vec<Outcome>,
 ) -> Exit {

@@ -9,13 +9,13 @@ use serde_json::json;
 
 use super::{Exit, Format, console, load};
 use crate::certificate::{self, Certificate, Subject, Trial};
-use crate::journal::Asked;
+use crate::journal::OperatorChoices;
 
 /// The plan to be certified, with its fleet.
 pub(super) struct Plan<'a> {
     pub(super) choreography: &'a Choreography,
     pub(super) fleet: &'a Fleet,
-    pub(super) asked: &'a Asked,
+    pub(super) asked: &'a OperatorChoices,
     /// The index of the first act to play.
     pub(super) first_act: usize,
 }
@@ -67,7 +67,7 @@ fn played(plan: &Plan<'_>, seed: u64, format: Format) -> Result<Vec<Trial>, Stri
         .iter()
         .map(|fault| {
             bar.inc(1);
-            certificate::play(plan.choreography, plan.fleet, (plan.first_act, seed), fault)
+            certificate::play(plan.choreography, plan.fleet, plan.first_act, seed, fault)
         })
         .collect();
     bar.finish_and_clear();
@@ -116,7 +116,7 @@ impl CertifiedArgs {
         &self,
         choreography: &Choreography,
         fleet: &Fleet,
-        asked: &Asked,
+        asked: &OperatorChoices,
         format: Format,
     ) -> Result<(), Exit> {
         let Some(path) = &self.require_certificate else { return Ok(()) };

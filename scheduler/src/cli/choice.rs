@@ -4,7 +4,7 @@ use downbeat_scripts::{Approach, Choreography, Fleet, add_approach, did_you_mean
 use urrcp::RobotId;
 
 use super::{Exit, console};
-use crate::journal::Asked;
+use crate::journal::OperatorChoices;
 
 /// Options that change the choreography.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -29,9 +29,9 @@ fn speed(text: &str) -> Result<f64, String> {
 }
 
 impl ChoiceArgs {
-    pub(super) fn asked(&self) -> Asked {
+    pub(super) fn asked(&self) -> OperatorChoices {
         let (act, from, only) = (self.act.clone(), self.from.clone(), self.only.clone());
-        Asked { act, from, only, speed: self.speed, approach: None }
+        OperatorChoices { act, from, only, speed: self.speed, approach: None }
     }
 }
 
@@ -45,7 +45,7 @@ fn meant(name: &str, names: &[String]) -> String {
     question.map(|question| format!("; {question}")).unwrap_or_default()
 }
 
-fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
+fn no_act(name: &str, choreography: &Choreography, asked: &OperatorChoices) -> String {
     no_such_act(if asked.act.is_some() { "--act" } else { "--from" }, name, choreography)
 }
 
@@ -85,7 +85,7 @@ fn not_playing(unknown: &[RobotId], playing: &[String], fleet: &Fleet) -> String
 pub(super) fn choose(
     choreography: Choreography,
     fleet: &Fleet,
-    asked: &Asked,
+    asked: &OperatorChoices,
 ) -> Result<(Choreography, usize), Exit> {
     let mut chosen = choreography;
     let mut first = 0;

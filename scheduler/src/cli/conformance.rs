@@ -39,7 +39,7 @@ Examples:
   downbeat conformance tcp://127.0.0.1:7401
   downbeat conformance tcp://robot.local:7401 --device elbow --tolerance 5ms
   downbeat conformance tcp://127.0.0.1:7401 --only late,queue --format json
-  DOWNBEAT_IDENTITY=keys/operators/anna.pem downbeat conformance hmac://10.0.0.14:7401
+  DOWNBEAT_IDENTITY=anna.pem downbeat conformance hmac://10.0.0.14:7401
   downbeat conformance --list
 
 Exit codes:

@@ -63,7 +63,7 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
 
 /// Options of other programs that the documents call: cargo, cargo-mutants, systemctl, zenohd, Blender, jq, `soak` and the experiments in
 /// `lab/`.
-const FOREIGN: [&str; 25] = [
+const FOREIGN: [&str; 30] = [
     "version",
     "locked",
     "now",
@@ -89,6 +89,11 @@ const FOREIGN: [&str; 25] = [
     "in-diff",
     "re",
     "exit-status",
+    "unshare-all",
+    "die-with-parent",
+    "ro-bind",
+    "symlink",
+    "chdir",
 ];
 
 /// A document that also calls package managers, systemd and containers.

@@ -15,7 +15,7 @@ use super::{Exit, Format, ScenarioArgs, console, trials};
 use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
-use crate::page::{self, Rehearsed, Told};
+use crate::page::{self, Rehearsed, TimedProgress};
 use crate::requirements::{Figures, any_unmet, closest_of, judge};
 use crate::show::local::ZONE;
 use crate::show::{picture, report_text};
@@ -117,7 +117,8 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     };
     if let Some(count) = args.trials {
         let options = options(args, &fleet, first_act);
-        return match trials::play((&choreography, &fleet, &world), options, (count, args.seed), format) {
+        let trials = Trials::new(&choreography, &fleet, &world, options, args.seed);
+        return match trials::play(&trials, count, format) {
             Ok(results) => {
                 let page =
                     |path| page::of_trials(&results, &args.replay()).and_then(|text| page::save(path, &text));
@@ -206,7 +207,7 @@ pub(super) fn rehearse(
     choreography: &Choreography,
     fleet: &Fleet,
     format: Format,
-) -> Result<(Played, Vec<Told>), (Exit, String)> {
+) -> Result<(Played, Vec<TimedProgress>), (Exit, String)> {
     let mut viewers = Viewers { bar: Bar::new(format), told: Some(Vec::new()) };
     let whole = Choice { readings: &[], seed: 0, logs: Logs::Kept };
     let options = MissionOptions {
@@ -238,7 +239,7 @@ fn cut_text(cut: &Cut) -> String {
 struct Viewers {
     bar: Bar,
     /// The collected progress reports. `None` if no HTML page needs them.
-    told: Option<Vec<Told>>,
+    told: Option<Vec<TimedProgress>>,
 }
 
 impl Audience for Viewers {

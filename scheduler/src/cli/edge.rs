@@ -5,6 +5,7 @@
 )]
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -12,11 +13,14 @@ use downbeat_robot::Hosted;
 use downbeat_robot::driver::{
     DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
 };
+use downbeat_scripts::Address;
+use downbeat_scripts::address_fault;
 use urrcp::{DeviceId, InitializationBlock};
 
 use super::drivers::DriverArgs;
 use super::robot::{Body, ProcessArgs, failed};
 use super::{Exit, Format, console};
+use crate::fleet::driver_of;
 
 /// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
@@ -26,6 +30,8 @@ docs/edge.md describes drivers.
 
 Drivers:
   sim                 drive nothing
+  sacn:1/13, artnet:1/13@HOST  drive a DMX fixture: universe 1, first channel 13
+  osc:HOST:PORT/PATH  send Open Sound Control messages
   thrift://HOST:PORT  drive a robot that speaks Thrift URRCP
   program:COMMAND     write lines to a program's standard input
 
@@ -38,7 +44,7 @@ pub(super) struct EdgeArgs {
     #[command(flatten)]
     process: ProcessArgs,
     /// The driver of the hardware.
-    #[arg(long)]
+    #[arg(long, value_parser = driver_named)]
     driver: DriverSpec,
     /// Samples per second of a linear movement, if the hardware does not move linearly by itself: NUMBER for all devices, or
     /// DEVICE=NUMBER; 0.1 to 1000. By default, as the driver declares, or 50.
@@ -56,11 +62,23 @@ pub(super) struct EdgeArgs {
     patience: DriverArgs,
 }
 
+/// The accepted forms of `--driver`, for messages to the user.
+const DRIVERS: &str = "sim, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND";
+
 /// Samples per second of one device, or of all devices if `device` is `None`.
 #[derive(Clone, Debug, PartialEq)]
 struct Samples {
     device: Option<DeviceId>,
     rate: f64,
+}
+
+fn driver_named(text: &str) -> Result<DriverSpec, String> {
+    let address = text.parse::<Address>().ok();
+    let spec = address.as_ref().and_then(driver_of);
+    spec.ok_or_else(|| match address_fault(text) {
+        (_, Some(hint)) if address.is_none() && hint.starts_with("write ") => hint,
+        _ => format!("unknown driver `{text}`, expected {DRIVERS}"),
+    })
 }
 
 fn samples(text: &str) -> Result<Samples, String> {
@@ -69,21 +87,21 @@ fn samples(text: &str) -> Result<Samples, String> {
         None => (None, text),
     };
     let device = device.map(DeviceId::new).transpose().map_err(|error| error.to_string())?;
-    Ok(Samples { device, rate: rate(number, SAMPLES_BOUNDS)? })
+    Ok(Samples { device, rate: rate(number, &SAMPLES_BOUNDS)? })
 }
 
 fn pings(text: &str) -> Result<f64, String> {
-    rate(text, PINGS_BOUNDS)
+    rate(text, &PINGS_BOUNDS)
 }
 
 fn readings(text: &str) -> Result<f64, String> {
-    rate(text, READINGS_BOUNDS)
+    rate(text, &READINGS_BOUNDS)
 }
 
-fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
+fn rate(text: &str, bounds: &RangeInclusive<f64>) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
-    rate.filter(|rate| *rate >= least && *rate <= most)
-        .ok_or_else(|| format!("expected a number from {least} to {most}"))
+    rate.filter(|rate| bounds.contains(rate))
+        .ok_or_else(|| format!("expected a number from {} to {}", bounds.start(), bounds.end()))
 }
 
 /// Converts the command-line arguments to the driver's options.
@@ -128,7 +146,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Err(why) => return failed(&why),
     };
     let id = block.id.clone();
-    let told = Mutex::new(Told::default());
+    let told = Mutex::new(PrintedLines::default());
     let name = id.to_string();
     let watch = move |event: &HardwareEvent| {
         let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,7 +165,7 @@ const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 
 /// The lines about the hardware that were printed on the terminal.
 #[derive(Debug, Default)]
-struct Told {
+struct PrintedLines {
     /// The lines of the last ten seconds.
     lines: VecDeque<(Instant, String)>,
     /// Whether the last printed line about the hardware's availability reported that it is unavailable.
@@ -155,7 +173,7 @@ struct Told {
     latency_told: bool,
 }
 
-impl Told {
+impl PrintedLines {
     /// Returns the line to print for an event, if any. After a printed line has reported unavailable hardware, the return of the hardware
     /// is always printed.
     fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
@@ -200,7 +218,7 @@ mod tests {
 
     #[test]
     fn hardware_loss_and_return_are_each_printed_once() {
-        let (begin, mut told) = (Instant::now(), Told::default());
+        let (begin, mut told) = (Instant::now(), PrintedLines::default());
         let lost = HardwareEvent::Lost("the hardware is not available: no port".to_owned());
         let there = HardwareEvent::There { latency: BTreeMap::new() };
         let mut at = |seconds, event| told.line("r", event, begin + Duration::from_secs(seconds));
@@ -228,7 +246,7 @@ mod tests {
 
     #[test]
     fn many_different_faults_print_only_a_few_lines() {
-        let (now, mut told) = (Instant::now(), Told::default());
+        let (now, mut told) = (Instant::now(), PrintedLines::default());
         let events = (0..100).map(|i| HardwareEvent::Unread(format!("fault {i}")));
         assert_eq!(events.filter_map(|event| told.line("r", &event, now)).count(), QUIET.1);
     }

@@ -142,7 +142,7 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        let robots: Vec<Asked<'_>> = fleet.robots.iter().map(|robot| (robot, None)).collect();
+        let robots = fleet.robots.iter().map(|robot| RobotToAsk { robot, list: None }).collect();
         let drivers = args.drivers.of(args.programs.asked());
         let mut answers = match ask_all(&fleet, robots, drivers, args.patience).await {
             Ok(answers) => answers,
@@ -225,7 +225,7 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
                 Err(format!("{text}; check the robot's address, and that the robot is switched on"))
             }
         },
-        Address::Simulated | Address::Program { .. } => {
+        _ => {
             console::error(&format!(
                 "`{}` cannot be described; expected the address of a robot, tcp://HOST:PORT or thrift://HOST:PORT",
                 args.address
@@ -256,7 +256,7 @@ fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, 
             events,
             std::time::Duration::ZERO,
         );
-        let answer = ask((unnamed(), None), link, happened, clock, patience).await;
+        let answer = ask(unnamed(), None, link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
         told = answer.block.ok_or(problem);
         Exit::Done
@@ -269,18 +269,23 @@ fn unnamed() -> RobotId {
     "robot".parse().expect("a constant below every limit")
 }
 
-/// A robot to ask, and the list of revoked keys to send to it, if any.
-pub(super) type Asked<'a> = (&'a FleetRobot, Option<String>);
+/// A robot to ask for its description and its clock.
+pub(super) struct RobotToAsk<'a> {
+    pub(super) robot: &'a FleetRobot,
+    /// The list of revoked keys to send to the robot, if any.
+    pub(super) list: Option<String>,
+}
 
-/// Asks robots of a fleet for their descriptions and clocks. Sends each robot the list of revoked keys next to it in `asked`, if any.
+/// Asks robots of a fleet for their descriptions and clocks. Sends each robot its list of revoked keys, if any.
 pub(super) async fn ask_all(
     fleet: &Fleet,
-    asked: Vec<Asked<'_>>,
+    asked: Vec<RobotToAsk<'_>>,
     drivers: Drivers,
     patience: Span,
 ) -> Result<Vec<Answer>, String> {
     let clock = ServerClock::anchored(Span::ZERO);
-    let (robots, lists): (Vec<&FleetRobot>, Vec<Option<String>>) = asked.into_iter().unzip();
+    let (robots, lists): (Vec<&FleetRobot>, Vec<Option<String>>) =
+        asked.into_iter().map(|asked| (asked.robot, asked.list)).unzip();
     let site = identity::site(fleet)?;
     let (host, endpoints) =
         fleet::endpoints(&robots, fleet.handshake, &site, HostOptions::default(), drivers)
@@ -296,7 +301,7 @@ pub(super) async fn ask_all(
         );
         let id = robot.id.clone();
         // Each robot has its own task, so that a silent robot does not delay others. The task ends after `patience`.
-        tokio::spawn(ask((id, list), link, happened, clock, patience))
+        tokio::spawn(ask(id, list, link, happened, clock, patience))
     });
     let mut answers = Vec::new();
     for task in asked.collect::<Vec<_>>() {
@@ -309,7 +314,8 @@ pub(super) async fn ask_all(
 }
 
 async fn ask(
-    (robot, mut list): (RobotId, Option<String>),
+    robot: RobotId,
+    mut list: Option<String>,
     link: Link,
     mut happened: mpsc::Receiver<Happened>,
     clock: ServerClock,

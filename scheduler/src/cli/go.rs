@@ -17,7 +17,7 @@ Examples:
   downbeat go
   downbeat go finale
   downbeat go --mission swap@stage-4711-20261121T193000000
-  DOWNBEAT_IDENTITY=keys/operators/cleo.pem downbeat go finale"
+  DOWNBEAT_IDENTITY=cleo.pem downbeat go finale"
 )]
 pub(super) struct GoArgs {
     /// The act to begin. By default, the act that waits.

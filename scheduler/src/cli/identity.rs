@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use downbeat_robot::sealed::Held;
 use downbeat_robot::tls::Credentials;
-use downbeat_scripts::Fleet;
+use downbeat_scripts::{Fleet, expand_home};
 
 use super::console;
 use crate::journal::OpenedKeys;
@@ -34,8 +34,9 @@ pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
     }
 }
 
-fn named_by(variable: &str) -> Option<PathBuf> {
-    std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from)
+pub(super) fn named_by(variable: &str) -> Option<PathBuf> {
+    let path = std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from);
+    path.map(|path| expand_home(&path))
 }
 
 /// Returns the path of the Zenoh configuration: from the command line, or else from the environment.
@@ -106,6 +107,12 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
             let name = &identity.name;
             console::warn(&format!(
                 "the certificate of {name} expires in {days} days; create a new one with `downbeat keys renew`"
+            ));
+        }
+        if site.is_of_replaced_authority() {
+            console::warn(&format!(
+                "the certificate of {} is of an authority that is being replaced; create a new one with `downbeat keys renew`, and use its file",
+                identity.name
             ));
         }
     }

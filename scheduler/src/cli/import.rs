@@ -3,6 +3,7 @@
 mod describe;
 mod write;
 
+use describe::Described;
 pub(super) use write::write_all;
 
 use std::path::PathBuf;
@@ -86,15 +87,17 @@ pub(super) struct ImportArgs {
     /// Time at which each scene sets its first value. The default is the time in the file.
     #[arg(long, value_name = "TIME", value_parser = parse_span)]
     start: Option<Span>,
+    /// The mode of a fixture, by its name or its short name. By default, the only mode.
+    #[arg(long, value_name = "MODE")]
+    mode: Option<String>,
     /// Multiply the values of a device by a factor.
     #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
     scale: Vec<(String, f64)>,
 }
 
-const URDF: (&str, &str) = ("urdf", "a robot description");
-
 fn after_help() -> String {
-    let formats = ImportFormat::ALL.iter().map(|facts| (facts.word, facts.about)).chain([URDF]);
+    let described = Described::ALL.iter().map(|format| (format.word(), format.about()));
+    let formats = ImportFormat::ALL.iter().map(|facts| (facts.word, facts.about)).chain(described);
     let formats: String = formats.map(|(word, about)| format!("  {word:<18}{about}\n")).collect();
     format!(
         "Formats:
@@ -106,6 +109,7 @@ Examples:
   downbeat import bitbots dance.json --init wolf.yaml --robots wolf-1
   downbeat import fseq star.fseq --map star/lamp=1,2,3 --output star
   downbeat import urdf arm.urdf --output arm
+  downbeat import fixture spot.json --mode 16bit --output spot
   downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2
   downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *'"
     )
@@ -117,16 +121,21 @@ enum From {
     /// Files that contain choreographies.
     Motions(ImportFormat),
     /// A file that describes a robot.
-    Urdf,
+    Robot(Described),
 }
 
 impl clap::ValueEnum for From {
     fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [From; ImportFormat::ALL.len() + 1] = {
-            let mut all = [From::Urdf; ImportFormat::ALL.len() + 1];
+        const MOTIONS: usize = ImportFormat::ALL.len();
+        const ALL: [From; MOTIONS + Described::ALL.len()] = {
+            let mut all = [From::Robot(Described::Urdf); MOTIONS + Described::ALL.len()];
             let mut index = 0;
-            while index < ImportFormat::ALL.len() {
-                all[index] = From::Motions(ImportFormat::ALL[index].format);
+            while index < all.len() {
+                all[index] = if index < MOTIONS {
+                    From::Motions(ImportFormat::ALL[index].format)
+                } else {
+                    From::Robot(Described::ALL[index - MOTIONS])
+                };
                 index += 1;
             }
             all
@@ -137,7 +146,7 @@ impl clap::ValueEnum for From {
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(PossibleValue::new(match self {
             Self::Motions(format) => format.word(),
-            Self::Urdf => URDF.0,
+            Self::Robot(described) => described.word(),
         }))
     }
 }
@@ -180,12 +189,12 @@ struct Done<'a> {
     held: usize,
     duration_ms: Span,
     #[serde(flatten)]
-    told: Told<'a>,
+    told: CommonOutput<'a>,
 }
 
 /// The part of the output that all imports have: notes on conversion rules, findings and written files.
 #[derive(Serialize)]
-struct Told<'a> {
+struct CommonOutput<'a> {
     notes: &'a [String],
     findings: &'a [Finding],
     files: &'a [String],
@@ -194,7 +203,7 @@ struct Told<'a> {
     text: Option<&'a str>,
 }
 
-impl Told<'_> {
+impl CommonOutput<'_> {
     fn show(&self) {
         for note in self.notes {
             console::note(&format!("note: {note}"));
@@ -210,9 +219,13 @@ impl Told<'_> {
 }
 
 pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
+    if args.mode.is_some() && !matches!(args.from, From::Robot(Described::Fixture)) {
+        console::error("--mode applies only to fixture; leave it out");
+        return Exit::Usage;
+    }
     match args.from {
         From::Motions(from) => import_motions(from, args, format),
-        From::Urdf => describe::describe(args, format),
+        From::Robot(described) => describe::describe(described, args, format),
     }
 }
 
@@ -236,7 +249,7 @@ fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit
         }
     }
     let ImportOutcome { imported, notes, findings } = &outcome;
-    let told = Told { notes, findings, files: &files, text: text.as_deref() };
+    let told = CommonOutput { notes, findings, files: &files, text: text.as_deref() };
     match format {
         Format::Json => show_json(imported.as_ref(), scenes, told),
         Format::Text => show_text(imported.as_ref(), scenes, &told),
@@ -318,7 +331,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
     (init, outcome)
 }
 
-fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
+fn show_json(imported: Option<&Imported>, scenes: Scenes, told: CommonOutput<'_>) {
     console::print_json(&Done {
         scenario: imported.map(|imported| imported.name.as_str()),
         robots: imported.map_or(0, |imported| imported.robots().len()),
@@ -330,7 +343,7 @@ fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
     });
 }
 
-fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &Told<'_>) {
+fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &CommonOutput<'_>) {
     told.show();
     let Some(imported) = imported.filter(|_| told.findings.is_empty()) else { return };
     console::note(&format!(

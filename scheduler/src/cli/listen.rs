@@ -26,9 +26,9 @@ pub(super) struct NetworkArgs {
 impl NetworkArgs {
     /// Returns the access to Zenoh. Its configuration file is named on the command line, or else in the environment, or else in the fleet
     /// file.
-    pub(super) fn way(&self, of_fleet: Option<&Path>) -> Way {
+    pub(super) fn way(&self, of_fleet: Option<&Path>) -> NetworkAccess {
         let file = identity::zenoh(self.file.as_deref());
-        Way {
+        NetworkAccess {
             file: file.or_else(|| of_fleet.map(Path::to_owned)),
             #[cfg(feature = "zenoh")]
             joined: None,
@@ -38,11 +38,18 @@ impl NetworkArgs {
 
 /// Access to a Zenoh network. The network is joined when a robot first needs it.
 #[derive(Debug)]
-pub(super) struct Way {
+pub(super) struct NetworkAccess {
     #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
     file: Option<PathBuf>,
     #[cfg(feature = "zenoh")]
     joined: Option<zenoh::Networks>,
+}
+
+/// Whether the operator accepts a network where anyone on the path could drive the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Exposure {
+    Accepted,
+    Refused,
 }
 
 /// An opened address of a robot whose clients are not served yet.
@@ -59,7 +66,7 @@ impl Listening {
         place: &str,
         robot: &RobotId,
         guard: &GuardArgs,
-        way: &mut Way,
+        way: &mut NetworkAccess,
     ) -> Result<Self, String> {
         if place.starts_with(ZENOH) {
             let Ok(Address::Zenoh { key }) = place.parse() else {
@@ -67,7 +74,8 @@ impl Listening {
                 return Err(format!("--listen {place} {fault}; {}", hint.unwrap_or_default()));
             };
             guard.refuse_at_key()?;
-            return way.listen(&key, guard.permits_anyone()).await;
+            let exposure = if guard.permits_anyone() { Exposure::Accepted } else { Exposure::Refused };
+            return way.listen(&key, exposure).await;
         }
         let listener = Self::bind(place).await?;
         let door = guard.door(robot, &listener)?;
@@ -100,9 +108,9 @@ impl Listening {
 }
 
 #[cfg(feature = "zenoh")]
-impl Way {
-    /// Listens at a key of the Zenoh network. `anyone` is true if the operator accepts that anyone on the network could drive the robot.
-    pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
+impl NetworkAccess {
+    /// Listens at a key of the Zenoh network.
+    pub(super) async fn listen(&mut self, key: &str, exposure: Exposure) -> Result<Listening, String> {
         let networks = match &self.joined {
             Some(networks) => networks.clone(),
             None => {
@@ -112,7 +120,7 @@ impl Way {
                 joining.await.map_err(|error| error.to_string())??
             }
         };
-        if let Some(endpoint) = networks.open_endpoint().filter(|_| !anyone) {
+        if let Some(endpoint) = networks.open_endpoint().filter(|_| exposure == Exposure::Refused) {
             return Err(format!(
                 "the Zenoh configuration uses {endpoint}, where anyone on the network path could drive the robot; use a tls/ endpoint, or add --insecure if the network is isolated"
             ));
@@ -128,8 +136,8 @@ impl Way {
 }
 
 #[cfg(not(feature = "zenoh"))]
-impl Way {
-    pub(super) async fn listen(&mut self, _: &str, _: bool) -> Result<Listening, String> {
+impl NetworkAccess {
+    pub(super) async fn listen(&mut self, _: &str, _: Exposure) -> Result<Listening, String> {
         Err(crate::link::NOT_BUILT.to_owned())
     }
 }

@@ -163,7 +163,8 @@ fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
 
 /// Reads a fleet file without a scenario.
 pub(super) fn load_fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
-    shown_fleet(downbeat_scripts::read_fleet_within(path, &project.of(path)), format)
+    let (fleet, findings) = downbeat_scripts::read_fleet_within(path, &project.of(path));
+    shown_fleet(fleet, findings, format)
 }
 
 /// Like [`load_fleet`], but for a fleet whose latencies are yet to be measured.
@@ -172,10 +173,11 @@ pub(super) fn load_fleet_to_measure(
     project: &ProjectArgs,
     format: Format,
 ) -> Result<Fleet, Exit> {
-    shown_fleet(downbeat_scripts::read_fleet_to_measure(path, &project.of(path)), format)
+    let (fleet, findings) = downbeat_scripts::read_fleet_to_measure(path, &project.of(path));
+    shown_fleet(fleet, findings, format)
 }
 
-fn shown_fleet((fleet, mut findings): (Option<Fleet>, Vec<Finding>), format: Format) -> Result<Fleet, Exit> {
+fn shown_fleet(fleet: Option<Fleet>, mut findings: Vec<Finding>, format: Format) -> Result<Fleet, Exit> {
     say_how_to_name_it(&mut findings, "or name one as the argument of this command");
     match format {
         Format::Text => show_findings(&findings),

@@ -84,7 +84,8 @@ impl Metrics {
     pub(super) fn add_mission(
         &self,
         clock: ServerClock,
-        (ids, endpoints): (Vec<RobotId>, &[Endpoint]),
+        ids: Vec<RobotId>,
+        endpoints: &[Endpoint],
         host: Option<&Host>,
         watches: &mut Watches,
     ) {

@@ -8,12 +8,12 @@ use downbeat_scripts::{Address, Fleet, FleetRobot, Protection};
 use serde::Serialize;
 use urrcp::{RobotId, Span};
 
-use super::fleet::{Answer, ask_all, shown_list};
+use super::fleet::{Answer, RobotToAsk, ask_all, shown_list};
 use super::keys::FolderArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::{Drivers, StartPrograms};
-use crate::keys::{Authority, calendar};
+use crate::keys::{Authorities, Issuing, calendar};
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -106,14 +106,15 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
     let mut bytes = 0;
     let latest = {
         // The folder is locked while the authority is open.
-        let authority = Authority::open(&folder.keys).map_err(|error| error.to_string())?;
+        let authority = folder.open().map_err(|error| error.to_string())?;
+        refuse_ended(fleet, &authority.authorities().map_err(|error| error.to_string())?)?;
         authority.renew_lists(calendar()).map_err(|error| error.to_string())?;
         for (robot, protection) in protected(fleet) {
             let id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
             match authority.list_for(id, protection) {
                 Ok(list) => {
                     bytes = bytes.max(list.len());
-                    asked.push((robot, Some(list)));
+                    asked.push(RobotToAsk { robot, list: Some(list) });
                 }
                 Err(error) => {
                     let problem = format!(
@@ -130,14 +131,29 @@ pub(super) fn send(fleet: &Fleet, folder: &FolderArgs, patience: Span) -> Result
         answers = ask_all(fleet, asked, Drivers::from(StartPrograms::No), patience).await;
         Exit::Done
     });
-    pushed.extend(answers?.into_iter().map(|answer| result(answer, (latest, bytes))));
+    pushed.extend(answers?.into_iter().map(|answer| result(answer, latest, bytes)));
     Ok(pushed)
+}
+
+/// Returns an error if this terminal's key is of an authority that has ended: robots would refuse it. `authorities` are those of the
+/// folder from which the list comes.
+fn refuse_ended(fleet: &Fleet, authorities: &Authorities) -> Result<(), String> {
+    let own = identity::keys(fleet).identity.and_then(|path| Credentials::read(&path).ok());
+    let Some(own) = own.as_ref().map(Credentials::identity) else { return Ok(()) };
+    let has_tls = protected(fleet).any(|(_, protection)| protection == Protection::Tls);
+    if !has_tls || authorities.issuing(Some(&own.authority)) != Issuing::Ended {
+        return Ok(());
+    }
+    Err(format!(
+        "the key of {} is of another authority than that of the list, or of one that has ended; set DOWNBEAT_IDENTITY to an identity file of the present authority",
+        own.name
+    ))
 }
 
 /// Length in bytes of a list that a robot accepts even while it plays in another operator's mission.
 const ALWAYS_ACCEPTED: usize = 60_000;
 
-fn result(answer: Answer, (latest, bytes): (u64, usize)) -> Pushed {
+fn result(answer: Answer, latest: u64, bytes: usize) -> Pushed {
     let Answer { robot, problem, revocation_list, .. } = answer;
     let list = revocation_list.as_ref().map(|list| list.number).filter(|number| *number > 0);
     let refused = revocation_list.and_then(|list| list.refused);

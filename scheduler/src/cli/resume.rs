@@ -217,16 +217,9 @@ impl<'a> Resumption<'a> {
             }
         };
         let keep = Keep { journal: Some(self.journal), ..Keep::default() };
-        match go_on(
-            &self.found,
-            (keep, &self.metrics, self.traces),
-            mission,
-            (host, endpoints),
-            clock,
-            format,
-        )
-        .await
-        {
+        let (found, metrics, traces) = (self.found, self.metrics, self.traces);
+        let rest = RestOfMission { found, mission, host, endpoints, keep, metrics, traces };
+        match rest.play(clock, format).await {
             Ok(report) => finish(&report, format),
             Err(exit) => exit,
         }
@@ -315,30 +308,38 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
     opened.iter().filter_map(moved).collect()
 }
 
-/// Plays the rest of the mission and returns its report.
-async fn go_on(
-    found: &Found,
-    (mut keep, metrics, traces): (Keep, &Metrics, Traces),
+/// The rest of a mission, and what playing it needs.
+struct RestOfMission {
+    found: Found,
     mission: Mission,
-    (host, endpoints): (Option<Host>, Vec<Endpoint>),
-    clock: ServerClock,
-    format: Format,
-) -> Result<Report, Exit> {
-    let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
-    let control = listen(&found.folder, &lane, identity::desk(&found.opened.keys));
-    let choreography = Arc::new(mission.choreography().clone());
-    let ids: Vec<_> = mission.robot_ids().cloned().collect();
-    metrics.add_mission(clock, (ids.clone(), &endpoints), host.as_ref(), &mut keep.watches);
-    traces.add_mission(clock, &mission, &mut keep.watches);
-    let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
-    keep.stop_lane = Some(lane);
-    let tell = |at, progress: &_| live.tell(at, progress);
-    let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    drop(live);
-    robot::stop_for(&mut report, host);
-    if let Some(control) = control {
-        control.end(serde_json::to_string(&report).ok()).await;
+    /// Runs the robots that are in this process. `None` if there are none.
+    host: Option<Host>,
+    endpoints: Vec<Endpoint>,
+    keep: Keep,
+    metrics: Metrics,
+    traces: Traces,
+}
+
+impl RestOfMission {
+    /// Plays the rest of the mission and returns its report.
+    async fn play(self, clock: ServerClock, format: Format) -> Result<Report, Exit> {
+        let Self { found, mission, host, endpoints, mut keep, metrics, traces } = self;
+        let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
+        let control = listen(&found.folder, &lane, identity::desk(&found.opened.keys));
+        let choreography = Arc::new(mission.choreography().clone());
+        let ids: Vec<_> = mission.robot_ids().cloned().collect();
+        metrics.add_mission(clock, ids.clone(), &endpoints, host.as_ref(), &mut keep.watches);
+        traces.add_mission(clock, &mission, &mut keep.watches);
+        let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
+        keep.stop_lane = Some(lane);
+        let tell = |at, progress: &_| live.tell(at, progress);
+        let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+        drop(live);
+        robot::stop_for(&mut report, host);
+        if let Some(control) = control {
+            control.end(serde_json::to_string(&report).ok()).await;
+        }
+        traces.end();
+        Ok(report)
     }
-    traces.end();
-    Ok(report)
 }

@@ -30,8 +30,8 @@ use crate::signals::{OnHangUp, Signals};
 Examples:
   downbeat robot --init robots/arm.yaml --listen 127.0.0.1:7401
   downbeat robot --init arm.yaml --id arm-2 --clock-offset 120ms
-  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --identity keys/robots/arm.pem
-  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --secret keys/secrets/arm.secret")]
+  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --identity arm.pem
+  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --secret arm.secret")]
 pub(super) struct RobotArgs {
     #[command(flatten)]
     process: ProcessArgs,

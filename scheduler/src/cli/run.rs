@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use downbeat_robot::HostOptions;
 use downbeat_robot::realtime::WakeUp;
-use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait, robots_named};
 use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
 
@@ -28,7 +28,7 @@ use super::traces::{Traces, TracesArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::certificate;
 use crate::fleet::{self, Drivers, StartPrograms};
-use crate::journal::{self, Asked, Missions, Opened};
+use crate::journal::{self, Missions, Opened, OperatorChoices};
 use crate::mission::{FixedStart, FixedStarts, Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{HostWakeUp, Outcome, Report};
@@ -276,6 +276,19 @@ fn usage(message: String) -> Stopped {
     (message, Exit::Usage)
 }
 
+/// The name of a mission's session, and the key with which its scheduler proves that the session is its own.
+struct KeyedSession {
+    id: SessionId,
+    key: SessionKey,
+}
+
+/// A fleet, and the path of the file from which it was read.
+#[derive(Clone, Copy)]
+struct FleetFile<'a> {
+    fleet: &'a Fleet,
+    path: &'a Path,
+}
+
 /// A mission whose resources, such as the journal, are ready, but whose robots have not been contacted.
 struct Prepared<'a> {
     choreography: Arc<Choreography>,
@@ -294,7 +307,7 @@ struct Prepared<'a> {
 #[derive(Clone)]
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
-    asked: Asked,
+    asked: OperatorChoices,
     how: &'a HowArgs,
     certified: &'a CertifiedArgs,
     realtime: RealtimeArgs,
@@ -398,7 +411,7 @@ impl Work<'_> {
         let driven_as =
             Session::with_key(session.clone(), &key).map_err(|error| failed(error.to_string()))?;
         let fixed = self.fixed(clock.now(), first_act)?;
-        let options = self.options(fleet, server_uncertainty, driven_as, (first_act, fixed));
+        let options = self.options(fleet, server_uncertainty, driven_as, first_act, fixed);
         check_waits(&choreography, &options, clock.now())
             .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
@@ -411,8 +424,9 @@ impl Work<'_> {
         let (lane, mut operator) = lane?;
         let mut control = None;
         if let Some(state) = state.filter(|_| self.journal) {
-            let opened =
-                self.opened((session, key), &choreography, (fleet, fleet_path), (clock, fixed), &robots);
+            let session = KeyedSession { id: session, key };
+            let file = FleetFile { fleet, path: fleet_path };
+            let opened = self.opened(session, &choreography, file, clock, &options, &robots);
             let folder = state.join(opened.session.as_str());
             let desk = identity::desk(&opened.keys);
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
@@ -449,7 +463,8 @@ impl Work<'_> {
         fleet: &Fleet,
         server_uncertainty: Span,
         session: Session,
-        (first_act, fixed): (usize, FixedStarts),
+        first_act: usize,
+        fixed: FixedStarts,
     ) -> MissionOptions {
         MissionOptions {
             greeting: fleet::greeting(fleet),
@@ -513,28 +528,29 @@ impl Work<'_> {
     /// Returns the contents of the journal's first line.
     fn opened(
         &self,
-        (session, key): (SessionId, SessionKey),
+        session: KeyedSession,
         choreography: &Choreography,
-        (fleet, fleet_path): (&Fleet, &Path),
-        (clock, fixed): (ServerClock, FixedStarts),
+        file: FleetFile<'_>,
+        clock: ServerClock,
+        options: &MissionOptions,
         robots: &[&FleetRobot],
     ) -> Opened {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
         Opened {
-            session,
-            key: Some(key),
+            session: session.id,
+            key: Some(session.key),
             pid: std::process::id(),
             name: Some(choreography.scenario.clone()),
             scenario: absolute(&self.scenario.scenario),
-            fleet: absolute(fleet_path),
+            fleet: absolute(file.path),
             folder: std::env::current_dir().ok(),
             project: self.scenario.project.folder(),
             asked: self.asked.clone(),
             plan_hash: Some(certificate::plan_hash(choreography, &self.asked)),
-            fixed,
-            greeting: fleet::greeting(fleet),
+            fixed: options.fixed,
+            greeting: options.greeting,
             clock_offset: clock.offset(),
-            keys: identity::keys(fleet),
+            keys: identity::keys(file.fleet),
             robots: robots.iter().map(|robot| opening::opened_robot(robot)).collect(),
         }
     }
@@ -548,6 +564,7 @@ impl Work<'_> {
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
         let host_options = HostOptions::default().with_realtime(self.realtime.realtime());
+        announce_blackouts(&robots);
         let site = identity::site(fleet).map_err(|error| (error, Exit::Usage))?;
         let (host, endpoints) =
             fleet::endpoints_at_once(&robots, fleet.handshake, &site, host_options, self.drivers)
@@ -564,7 +581,7 @@ impl Work<'_> {
             self.realtime.tell(host, self.format);
         }
         let ids = robots.iter().map(|robot| robot.id.clone()).collect();
-        metrics.add_mission(clock, (ids, &endpoints), host.as_ref(), &mut keep.watches);
+        metrics.add_mission(clock, ids, &endpoints, host.as_ref(), &mut keep.watches);
         let participants = fleet::participants(&robots);
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
@@ -724,6 +741,19 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         Outcome::Stopped => Exit::Stopped,
         Outcome::OutOfTolerance { .. } | Outcome::StepsLate { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,
+    }
+}
+
+/// Announces which fixtures go dark when this process ends, because a mission otherwise leaves devices where they are.
+fn announce_blackouts(robots: &[&FleetRobot]) {
+    let goes_dark =
+        |robot: &&&FleetRobot| matches!(&robot.address, Address::Dmx(fixture) if fixture.blackout);
+    let dark: Vec<&str> = robots.iter().filter(goes_dark).map(|robot| robot.id.as_str()).collect();
+    if !dark.is_empty() {
+        console::note(&format!(
+            "{} will go dark at the end (`end=blackout` in the fleet file)",
+            robots_named(dark.iter().copied())
+        ));
     }
 }
 

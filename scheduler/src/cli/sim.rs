@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use downbeat_robot::{Door, Host, HostOptions};
 use downbeat_scripts::{Address, Protection};
 
-use super::listen::{Listening, NetworkArgs, Way};
+use super::listen::{Exposure, Listening, NetworkAccess, NetworkArgs};
 use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::{Exit, Format, ProjectArgs, console, load, robot};
@@ -124,16 +124,14 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
 }
 
 /// Opens the address that a fleet file states for a robot. Anyone may drive simulated robots, because they move nothing.
-async fn listening(address: &Address, door: Door, way: &mut Way) -> Result<Listening, String> {
+async fn listening(address: &Address, door: Door, way: &mut NetworkAccess) -> Result<Listening, String> {
     match address {
-        Address::Zenoh { key } => way.listen(key, true).await,
+        Address::Zenoh { key } => way.listen(key, Exposure::Accepted).await,
         Address::Tcp { host, port, .. } => {
             let place =
                 if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
             Ok(Listening::Tcp(Listening::bind(&place).await?, door))
         }
-        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => {
-            Err(format!("cannot listen at the address {address}"))
-        }
+        _ => Err(format!("cannot listen at the address {address}")),
     }
 }

@@ -48,7 +48,7 @@ Examples:
   downbeat stop --fleet fleet.yaml
   downbeat stop --home
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s
-  DOWNBEAT_IDENTITY=keys/operators/dora.pem downbeat stop"
+  DOWNBEAT_IDENTITY=dora.pem downbeat stop"
 )]
 pub(super) struct StopArgs {
     /// The mission. By default all missions.
@@ -134,7 +134,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
         console::warn(&format!("sending the stop without an identity: {error}"));
         None
     });
-    let stops = stop_all(found, unread, (how, presented.map(Arc::new)), shown, format);
+    let stops = stop_all(found, unread, how, presented.map(Arc::new), shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
 
@@ -198,7 +198,8 @@ enum Shown {
 async fn stop_all(
     found: Vec<Found>,
     unread: Vec<Unread>,
-    (how, presented): (How, Option<Arc<Presented>>),
+    how: How,
+    presented: Option<Arc<Presented>>,
     shown: Shown,
     format: Format,
 ) -> Exit {

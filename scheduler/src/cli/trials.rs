@@ -7,7 +7,6 @@ use downbeat_scripts::{Act, Choreography, Finding, Fleet, World, read_world};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{Exit, Format, console, load};
-use crate::mission::MissionOptions;
 use crate::show::trials_text;
 use crate::trials::{Results, Trials};
 
@@ -33,15 +32,10 @@ pub(super) fn world(
 }
 
 /// Plays all trials, with a progress bar on the terminal.
-pub(super) fn play(
-    (choreography, fleet, world): (&Choreography, &Fleet, &World),
-    options: MissionOptions,
-    (count, seed): (u32, u64),
-    format: Format,
-) -> Result<Results, Exit> {
+pub(super) fn play(trials: &Trials<'_>, count: u32, format: Format) -> Result<Results, Exit> {
     let bar = bar(count, format);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let played = Trials::new(choreography, fleet, world, options, seed).play(count, threads, |over| {
+    let played = trials.play(count, threads, |over| {
         bar.set_position(u64::from(over));
         true
     });

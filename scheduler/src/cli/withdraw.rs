@@ -180,7 +180,7 @@ pub(super) async fn withdraw_and_record(
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // If another terminal requests a stop meanwhile, it receives the result of this stop.
     let control = listen(&taken.folder, &lane, None);
-    let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, (lane, operator)).await?;
+    let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, lane, operator).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -201,7 +201,8 @@ pub(super) async fn withdraw_and_record(
 
 /// Stops the robots of a mission without recording it. Starts no programs.
 pub(super) async fn withdraw(contents: &Contents, how: How) -> Result<Withdrawn, String> {
-    withdraw_as(contents, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
+    let (lane, operator) = stop_lane(OnHangUp::End)?;
+    withdraw_as(contents, &Programs::new(), by_operator(), how, lane, operator).await
 }
 
 /// Returns the outcome of a mission that the operator stops, and the text of this outcome for people.
@@ -214,7 +215,8 @@ async fn withdraw_as(
     programs: &Programs,
     ending: (Outcome, String),
     how: How,
-    (lane, operator): (StopLane, mpsc::Receiver<Operator>),
+    lane: StopLane,
+    operator: mpsc::Receiver<Operator>,
 ) -> Result<Withdrawn, String> {
     let left = contents.left();
     let (robots, inside) = robots_of(&contents.opened, &left, programs, how);
@@ -232,7 +234,7 @@ async fn withdraw_as(
     let participants = fleet::participants(&robots);
     let mission = Mission::withdraw(scenario, participants, options, &left, ending, how.rest, begun);
     let site = identity::site_to_stop(&contents.opened.keys)?;
-    let report = carry_out(mission, &robots, &site, clock, how, (lane, operator)).await?;
+    let report = carry_out(mission, &robots, &site, clock, how, lane, operator).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
@@ -262,7 +264,8 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     let (name, participants) = ("the fleet".to_owned(), fleet::participants(&robots));
     let mission = Mission::withdraw(name, participants, options, &left, by_operator(), how.rest, begun);
     let site = identity::site_to_stop(&identity::keys(of))?;
-    let report = carry_out(mission, &robots, &site, clock, how, stop_lane(OnHangUp::End)?).await?;
+    let (lane, operator) = stop_lane(OnHangUp::End)?;
+    let report = carry_out(mission, &robots, &site, clock, how, lane, operator).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
@@ -285,7 +288,8 @@ async fn carry_out(
     site: &Site,
     clock: ServerClock,
     how: How,
-    (lane, operator): (StopLane, mpsc::Receiver<Operator>),
+    lane: StopLane,
+    operator: mpsc::Receiver<Operator>,
 ) -> Result<Report, String> {
     let (host, endpoints) =
         fleet::endpoints_at_once(robots, Handshake::Full, site, HostOptions::default(), how.drivers)
@@ -315,7 +319,7 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
                 reached.push(fleet_robot(opened, address));
                 continue;
             }
-            (Ok(address @ Address::Thrift { .. }), _) if reachable => {
+            (Ok(address), _) if address.is_driven() && reachable => {
                 reached.push(fleet_robot(opened, address));
                 continue;
             }
@@ -373,6 +377,6 @@ fn write_down(taken: Taken, begun: Timestamp<Server>, records: &[Record]) -> Res
         Record::Stopping { .. } => begun,
         _ => clock.now(),
     };
-    records.iter().try_for_each(|record| journal.append(at(record), record))?;
-    journal.sync().map(drop)
+    let written = records.iter().try_for_each(|record| journal.append(at(record), record));
+    written.and_then(|()| journal.sync()).map(drop).map_err(|broken| broken.to_string())
 }

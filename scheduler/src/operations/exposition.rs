@@ -6,7 +6,7 @@ use prometheus::proto::{
     Bucket, Counter, Gauge, Histogram, LabelPair, Metric as Value, MetricFamily, MetricType,
 };
 
-use super::names::{Kind, Metric};
+use super::names::{Metric, MetricKind};
 
 /// The HTTP content type of the page that [`Page::text`] returns.
 pub(super) const CONTENT_TYPE: &str = prometheus::TEXT_FORMAT;
@@ -71,9 +71,9 @@ impl Page {
         family.set_name(metric.name.to_owned());
         family.set_help(metric.help.to_owned());
         family.set_field_type(match metric.kind {
-            Kind::Gauge => MetricType::GAUGE,
-            Kind::Counter => MetricType::COUNTER,
-            Kind::Histogram => MetricType::HISTOGRAM,
+            MetricKind::Gauge => MetricType::GAUGE,
+            MetricKind::Counter => MetricType::COUNTER,
+            MetricKind::Histogram => MetricType::HISTOGRAM,
         });
         family.set_metric(values);
         if let Err(error) = TextEncoder::new().encode_utf8(&[family], &mut self.0) {
@@ -92,7 +92,7 @@ impl Page {
 
 fn number(metric: &Metric, labels: Vec<LabelPair>, number: f64) -> Value {
     let mut value = Value::from_label(labels);
-    if metric.kind == Kind::Counter {
+    if metric.kind == MetricKind::Counter {
         let mut counter = Counter::default();
         counter.set_value(number);
         value.set_counter(counter);

@@ -110,8 +110,8 @@ impl MissionMetrics {
     /// Creates the metrics of a mission that has not begun. `robots` are in the mission's order.
     pub(crate) fn new(clock: ServerClock, robots: impl Iterator<Item = RobotId>) -> Self {
         let cell = |metric: &Metric| match metric.kind {
-            names::Kind::Counter => Number::new(0.0),
-            names::Kind::Gauge | names::Kind::Histogram => Number::new(f64::NAN),
+            names::MetricKind::Counter => Number::new(0.0),
+            names::MetricKind::Gauge | names::MetricKind::Histogram => Number::new(f64::NAN),
         };
         Self(Arc::new(Numbers {
             clock,
@@ -186,8 +186,8 @@ impl MissionWatch {
                 cells.iter().zip(CELLS).zip(values(&mission.figures_of(RobotIndex::new(robot))))
             {
                 match metric.kind {
-                    names::Kind::Counter => cell.set(cell.get().max(value)),
-                    names::Kind::Gauge | names::Kind::Histogram => cell.set(value),
+                    names::MetricKind::Counter => cell.set(cell.get().max(value)),
+                    names::MetricKind::Gauge | names::MetricKind::Histogram => cell.set(value),
                 }
             }
         }

@@ -4,7 +4,7 @@
 #[derive(Debug)]
 pub(super) struct Metric {
     pub(super) name: &'static str,
-    pub(super) kind: Kind,
+    pub(super) kind: MetricKind,
     /// The name of the label. Empty for a metric with a single value.
     pub(super) label: &'static str,
     pub(super) help: &'static str,
@@ -12,7 +12,7 @@ pub(super) struct Metric {
 
 /// The kind of a metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum MetricKind {
     /// The value can increase and decrease.
     Gauge,
     /// The value only increases.
@@ -24,7 +24,7 @@ pub(super) enum Kind {
 macro_rules! metrics {
     ($($metric:ident $kind:ident $name:literal $label:literal $help:literal;)*) => {
         $(
-            pub(super) static $metric: Metric = Metric { name: $name, kind: Kind::$kind, label: $label, help: $help };
+            pub(super) static $metric: Metric = Metric { name: $name, kind: MetricKind::$kind, label: $label, help: $help };
         )*
         /// All metrics, in the order of `docs/operations.md`.
         #[cfg(test)]
@@ -123,8 +123,17 @@ mod tests {
     #[test]
     fn metric_names_end_with_unit_and_counters_with_total() {
         for metric in ALL {
-            assert_eq!(metric.name.ends_with("_total"), metric.kind == Kind::Counter, "{}", metric.name);
-            assert!(metric.kind != Kind::Histogram || metric.name.ends_with("_seconds"), "{}", metric.name);
+            assert_eq!(
+                metric.name.ends_with("_total"),
+                metric.kind == MetricKind::Counter,
+                "{}",
+                metric.name
+            );
+            assert!(
+                metric.kind != MetricKind::Histogram || metric.name.ends_with("_seconds"),
+                "{}",
+                metric.name
+            );
             assert!(metric.help.ends_with('.'), "{}", metric.name);
         }
     }

@@ -37,18 +37,18 @@ const NICE: i32 = 10;
 
 /// The sources of metrics and health that the endpoint shows. Sources can be added while the endpoint serves.
 #[derive(Clone, Default)]
-pub(crate) struct Board(Arc<Mutex<Vec<Arc<dyn Told>>>>);
+pub(crate) struct Board(Arc<Mutex<Vec<Arc<dyn BoardSource>>>>);
 
 /// A source of both metrics and health checks.
-trait Told: Source + Health {}
-impl<T: Source + Health> Told for T {}
+trait BoardSource: Source + Health {}
+impl<T: Source + Health> BoardSource for T {}
 
 impl Board {
     pub(crate) fn add(&self, told: impl Source + Health + 'static) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::new(told));
     }
 
-    fn all(&self) -> Vec<Arc<dyn Told>> {
+    fn all(&self) -> Vec<Arc<dyn BoardSource>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 

@@ -1,8 +1,12 @@
 //! Addresses of robots, as written in the fleet file and on the command line.
 
+mod driven;
+
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
+
+pub use driven::{DmxAddress, DmxProtocol, OscAddress};
 
 /// The address of a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,6 +34,10 @@ pub enum Address {
         /// The Zenoh key of the robot, without wildcards.
         key: String,
     },
+    /// `sacn:...` or `artnet:...`: a DMX fixture. This process drives it.
+    Dmx(DmxAddress),
+    /// `osc:...`: a receiver of Open Sound Control. This process drives it.
+    Osc(OscAddress),
     /// `program:COMMAND`: a robot that this process drives through a separate program.
     Program {
         /// The command line of the program, for a shell.
@@ -67,6 +75,8 @@ impl fmt::Display for Address {
             Self::Tcp { host, port, protection } => write!(f, "{}://{host}:{port}", protection.scheme()),
             Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
             Self::Zenoh { key } => write!(f, "zenoh:{key}"),
+            Self::Dmx(address) => address.fmt(f),
+            Self::Osc(address) => address.fmt(f),
             Self::Program { command } => write!(f, "program:{command}"),
         }
     }
@@ -85,7 +95,7 @@ enum ReachedHost {
     Ip(IpAddr),
     /// A host name in lower case, without the final dot. Only DNS can resolve it.
     Name(String),
-    /// A key of a Zenoh network, which has no ports.
+    /// A key of a Zenoh network, or the address of a fixture: neither has a port.
     Key(String),
 }
 
@@ -98,6 +108,11 @@ impl Address {
                 hosts(host).into_iter().map(|host| Reached { host, port: *port }).collect()
             }
             Self::Zenoh { key } => vec![Reached { host: ReachedHost::Key(key.clone()), port: 0 }],
+            Self::Dmx(address) => {
+                let fixture = DmxAddress { priority: None, blackout: false, ..address.clone() };
+                vec![Reached { host: ReachedHost::Key(fixture.to_string()), port: 0 }]
+            }
+            Self::Osc(address) => vec![Reached { host: ReachedHost::Key(address.to_string()), port: 0 }],
             Self::Simulated | Self::Program { .. } => Vec::new(),
         }
     }
@@ -108,6 +123,12 @@ impl Address {
     #[must_use]
     pub const fn is_served(&self) -> bool {
         matches!(self, Self::Tcp { .. } | Self::Zenoh { .. })
+    }
+
+    /// Whether this process drives the hardware at the address by itself, without another program.
+    #[must_use]
+    pub const fn is_driven(&self) -> bool {
+        matches!(self, Self::Thrift { .. } | Self::Dmx(_) | Self::Osc(_))
     }
 
     /// Whether commands to the robot cross a network where others can send commands as well: plain TCP to a different machine.
@@ -157,7 +178,7 @@ fn is_key(text: &str) -> bool {
 pub struct InvalidAddress;
 
 /// The accepted forms of addresses, for messages to the user.
-pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
+pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for InvalidAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -173,6 +194,9 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
     if text.starts_with("zenoh:") {
         let hint = "a key consists of words separated by slashes, without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
         return ("has no valid key", Some(hint.to_owned()));
+    }
+    if let Some((what, hint)) = driven::fault(text) {
+        return (what, Some(hint));
     }
     let (scheme, rest) = match text.split_once("://") {
         Some((scheme, rest)) => (Some(scheme), rest),
@@ -229,8 +253,12 @@ impl Address {
             let command = rest.trim().to_owned();
             return (!command.is_empty()).then_some(Self::Program { command });
         }
-        if scheme == "zenoh" {
-            return is_key(rest).then(|| Self::Zenoh { key: rest.to_owned() });
+        match scheme {
+            "zenoh" => return is_key(rest).then(|| Self::Zenoh { key: rest.to_owned() }),
+            "sacn" => return DmxAddress::parse(DmxProtocol::Sacn, rest).map(Self::Dmx),
+            "artnet" => return DmxAddress::parse(DmxProtocol::ArtNet, rest).map(Self::Dmx),
+            "osc" => return OscAddress::parse(rest).map(Self::Osc),
+            _ => {}
         }
         let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
         let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
@@ -250,7 +278,7 @@ impl Address {
 fn of_another_bus(text: &str) -> Option<String> {
     let is_serial = text.starts_with("/dev/")
         || text.strip_prefix("COM").is_some_and(|number| number.parse::<u8>().is_ok());
-    let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt", "osc"]
+    let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt"]
         .iter()
         .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
     (is_serial || is_other)

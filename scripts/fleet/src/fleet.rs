@@ -16,13 +16,15 @@ use downbeat_reader::{keys, schema, words};
 use downbeat_space::space::{Body, Space};
 use downbeat_yaml::composed::composed;
 use downbeat_yaml::duration::written;
-use downbeat_yaml::finding::{Code, Finding, Part, Place, Severity};
+use downbeat_yaml::finding::{Code, Finding, PathStep, Place, Severity};
+use downbeat_yaml::home::expand_home;
 use downbeat_yaml::identify::{self, Document};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::project::{Project, folder_of};
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::{Source, is_general};
+use downbeat_yaml::syntax::conceal;
 use downbeat_yaml::tags::foreign_tags;
 
 mod apart;
@@ -68,11 +70,11 @@ keys! {
         /// Whether robots must identify themselves.
         handshake: words!(HANDSHAKE_WORDS),
         /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses: a file that `downbeat keys
-        /// operator` writes.
+        /// operator` writes. `~/` stands for your home folder.
         identity: kinds::TEXT,
-        /// The list of revoked certificates, which `downbeat keys` writes.
+        /// The list of revoked certificates, which `downbeat keys` writes. `~/` stands for your home folder.
         revoked: kinds::TEXT,
-        /// The Zenoh configuration for robots with `zenoh:` addresses.
+        /// The Zenoh configuration for robots with `zenoh:` addresses. `~/` stands for your home folder.
         zenoh: kinds::TEXT,
         /// Permits plain TCP to other machines: for a dedicated network.
         insecure: kinds::BOOLEAN,
@@ -95,9 +97,9 @@ keys! {
         init: kinds::TEXT,
         /// Values that the description of a Thrift robot lacks, by device id.
         devices: Kind::Entries(&DeviceKeys::KIND),
-        /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, thrift://host:port or program:COMMAND.
+        /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND.
         #[required]
-        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac|thrift)://.+:\\d+|program:.*\\S.*)$"}),
+        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac|thrift)://.+:\\d+|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|program:.*\\S.*)$"}),
         /// The `id` that the robot itself declares, if that differs from its name here.
         robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
         simulate: SimulateKeys::KIND,
@@ -360,9 +362,10 @@ fn read_with(
     };
     let document = match node::parse(&source) {
         Ok(document) => document,
-        Err(finding) => return (None, vec![finding]),
+        Err(finding) => return (None, vec![conceal(finding, &source, FleetKeys::NAMES)]),
     };
-    if let Some(mistaken) = identify::mistaken(&source, &document, Document::Fleet) {
+    let mistaken = identify::mistaken_by_keys(&source, &document, Document::Fleet, FleetKeys::NAMES);
+    if let Some(mistaken) = mistaken {
         return (None, vec![mistaken]);
     }
     let tags = foreign_tags(&source);
@@ -417,7 +420,8 @@ impl FleetReader<'_> {
             fleet.handshake = self.findings.word(&handshake, &HANDSHAKE_WORDS).unwrap_or_default();
         }
         let mut file = |at: Option<At<'_>>, expected| {
-            at.and_then(|at| self.findings.text(&at, expected)).map(|path| self.folder.join(path.as_ref()))
+            let path = at.and_then(|at| self.findings.text(&at, expected));
+            path.map(|path| self.folder.join(expand_home(Path::new(path.as_ref()))))
         };
         fleet.identity = file(identity, "the path of an identity file, created by `downbeat keys operator`");
         fleet.revoked =
@@ -472,7 +476,7 @@ impl FleetReader<'_> {
 
     /// Reports two robots whose names look the same but are encoded differently.
     fn same_name(&mut self, name: &str, robots: &At<'_>) {
-        let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
+        let place = Place { key: true, ..robots.place().below(PathStep::Key(name.to_owned(), 1)) };
         let message = format!(
             "duplicate robot name `{}`: the letters look the same, but are encoded differently",
             shortened(name)

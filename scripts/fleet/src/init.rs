@@ -15,6 +15,7 @@ use downbeat_yaml::identify::{self, Document};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::source::Source;
+use downbeat_yaml::syntax::{conceal, has_key};
 
 pub(crate) use self::supplement::DeviceKeys;
 pub use self::supplement::{Supplement, read as read_supplements};
@@ -57,8 +58,9 @@ pub enum Init {
 impl Init {
     /// Reads a robot's description: an initialization block, or a dictionary of devices.
     pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
-        if let Some(finding) = node::too_deep(&source) {
-            return Err(vec![finding]);
+        let concealed = |finding| vec![conceal(finding, &source, keys::of_block())];
+        if let Some(finding) = node::too_large(&source) {
+            return Err(concealed(finding));
         }
         let wrong = match block_of(&source) {
             Ok(block) => return Ok(Self::Block(Box::new(block), keys::ignored(&source))),
@@ -71,8 +73,17 @@ impl Init {
             return Err(vec![mistaken]);
         }
         match document {
+            // The other findings may quote values before the place of the mistake.
+            Err(finding) if !has_key(&source.text, keys::of_block()) => {
+                Err(concealed(Finding { code: Code::InitializationBlock, ..finding }))
+            }
             Ok(document) if dictionary::is_one(&document) && !dictionary::is_block(&document) => {
                 Ok(Self::Dictionary(source, document))
+            }
+            Ok(document) if identify::is_foreign(&document, keys::of_block()) => {
+                Err(identify::mistaken_by_keys(&source, &document, Document::Robot, keys::of_block())
+                    .into_iter()
+                    .collect())
             }
             _ => {
                 let found = faults::of(&source);

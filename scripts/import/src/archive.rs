@@ -6,6 +6,8 @@ use memchr::memmem;
 use zip::ZipArchive;
 use zip::result::ZipError;
 
+use super::malformed::Malformed;
+
 /// Maximum number of files in an archive.
 const FILES_MAX: usize = 50_000;
 /// Maximum unpacked size of a file, and of all files together, in bytes.
@@ -22,10 +24,10 @@ pub(super) struct Archive<'a> {
 
 impl<'a> Archive<'a> {
     /// Opens an archive. If this fails, returns the reason.
-    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, String> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Malformed> {
         let entries = memmem::find_iter(bytes, ENTRY).take(FILES_MAX + 1).count();
         if entries > FILES_MAX {
-            return Err(format!("the archive has more than {FILES_MAX} files"));
+            return Err(format!("the archive has more than {FILES_MAX} files").into());
         }
         let zip = ZipArchive::new(Cursor::new(bytes))
             .map_err(|error| format!("this is not a ZIP archive: {error}"))?;
@@ -39,7 +41,7 @@ impl<'a> Archive<'a> {
     }
 
     /// Unpacks one file. If this fails, returns the reason.
-    pub(super) fn file(&mut self, name: &str) -> Result<Vec<u8>, String> {
+    pub(super) fn file(&mut self, name: &str) -> Result<Vec<u8>, Malformed> {
         let file = self.zip.by_name(name).map_err(|error| match error {
             ZipError::FileNotFound => "the archive has no such file".to_owned(),
             other => format!("the archive cannot be unpacked: {other}"),
@@ -54,9 +56,9 @@ impl<'a> Archive<'a> {
         match size > most {
             false => Ok(bytes),
             true if most < FILE_BYTES_MAX => {
-                Err(format!("the unpacked archive has more than {ALL_BYTES_MAX} bytes"))
+                Err(format!("the unpacked archive has more than {ALL_BYTES_MAX} bytes").into())
             }
-            true => Err(format!("the unpacked file has more than {FILE_BYTES_MAX} bytes")),
+            true => Err(format!("the unpacked file has more than {FILE_BYTES_MAX} bytes").into()),
         }
     }
 }

@@ -54,19 +54,19 @@ pub fn files_of(
 }
 
 /// A kind of robot. All robots of a kind have the same devices.
-struct Kind {
+struct RobotKind {
     name: String,
     devices: Vec<String>,
     robots: Vec<String>,
 }
 
-fn path_of(kind: &Kind) -> String {
+fn path_of(kind: &RobotKind) -> String {
     // The name becomes part of a path, so it must not contain path separators.
     let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
     format!("robots/{}.yaml", kind.name.chars().map(safe).collect::<String>())
 }
 
-fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {
+fn kinds(imported: &Imported, all_alike: bool) -> Vec<RobotKind> {
     let mut devices: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (robot, device) in imported.devices() {
         let known = devices.entry(&robot.robot).or_default();
@@ -74,7 +74,7 @@ fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {
             known.push(device.device.clone());
         }
     }
-    let mut kinds: Vec<Kind> = Vec::new();
+    let mut kinds: Vec<RobotKind> = Vec::new();
     for robot in imported.robots() {
         let own = devices.remove(robot).unwrap_or_default();
         match kinds.iter_mut().find(|kind| all_alike || kind.devices == own) {
@@ -84,14 +84,14 @@ fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {
                     0 => imported.kind.clone(),
                     more => format!("{}-{}", imported.kind, more + 1),
                 };
-                kinds.push(Kind { name, devices: own, robots: vec![robot.to_owned()] });
+                kinds.push(RobotKind { name, devices: own, robots: vec![robot.to_owned()] });
             }
         }
     }
     kinds
 }
 
-fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
+fn fleet_text(imported: &Imported, kinds: &[RobotKind]) -> String {
     let mut text = format!(
         "# The robots of `{}`, simulated. Set `address: tcp://host:port` to drive a real robot.\n",
         one_line(&imported.name)
@@ -121,7 +121,7 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
 }
 
 /// The requirements for the devices with a given name, combined over all robots.
-pub(super) struct Asked<'a> {
+pub(super) struct DeviceNeeds<'a> {
     name: &'a str,
     unit: &'a str,
     /// How the value of the device changes between keyframes, in the first robot's first scene.
@@ -132,7 +132,7 @@ pub(super) struct Asked<'a> {
 }
 
 /// Returns the requirements for each device name, in the order in which the names first occur in the import.
-pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
+pub(super) fn asked(imported: &Imported) -> Vec<DeviceNeeds<'_>> {
     let mut order: Vec<&str> = Vec::new();
     let mut motions: BTreeMap<&str, Vec<(&str, &DeviceMotion)>> = BTreeMap::new();
     for (robot, device) in imported.devices() {
@@ -145,7 +145,7 @@ pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
     order.into_iter().filter_map(|name| asked_of(name, motions.get(name)?)).collect()
 }
 
-fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Option<Asked<'a>> {
+fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Option<DeviceNeeds<'a>> {
     let (_, first) = motions.first()?;
     let values: Vec<f64> = motions.iter().flat_map(|(_, motion)| motion.values()).collect();
     let grid = match first.course {
@@ -157,7 +157,7 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
         *steps.entry(robot).or_default() += steps_of(motion, grid.granularity);
     }
     let steps = steps.into_values().max().unwrap_or(0).max(STEPS_MIN);
-    Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
+    Some(DeviceNeeds { name, unit: &first.unit, course: &first.course, grid, steps })
 }
 
 /// Returns a number of steps that is sufficient to follow a motion within the tolerance. The error of a chord is an eighth of the curve's
@@ -172,7 +172,7 @@ fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
     pieces.iter().map(|piece| chords(piece).clamp(0.0, STEPS_PIECE_MAX).ceil() as usize + 2).sum()
 }
 
-fn block_text(imported: &Imported, kind: &Kind) -> String {
+fn block_text(imported: &Imported, kind: &RobotKind) -> String {
     let mut text = format!(
         "# A robot with exactly the capabilities that {} needs.\n\
          # min_value, max_value, granularity, max_error and max_number_of_steps below are derived from the DATA, not from a robot:\n\
@@ -180,8 +180,8 @@ fn block_text(imported: &Imported, kind: &Kind) -> String {
         one_line(&imported.origin)
     );
     line(&mut text, format_args!("id: {}\napi_version: \"1\"\nreports: true\ndevices:", scalar(&kind.name)));
-    let own = |asked: &Asked<'_>| kind.devices.iter().any(|device| device == asked.name);
-    for Asked { name, unit, course, grid, steps } in asked(imported).into_iter().filter(own) {
+    let own = |asked: &DeviceNeeds<'_>| kind.devices.iter().any(|device| device == asked.name);
+    for DeviceNeeds { name, unit, course, grid, steps } in asked(imported).into_iter().filter(own) {
         line(&mut text, format_args!("  - id: {}\n    name: {}", scalar(name), scalar(name)));
         if !unit.is_empty() {
             line(&mut text, format_args!("    unit: {}", scalar(unit)));

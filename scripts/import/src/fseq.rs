@@ -8,6 +8,7 @@ use downbeat_yaml::finding::Code;
 use downbeat_yaml::shown::shortened;
 
 use super::input::Input;
+use super::malformed::Malformed;
 use super::sink::Sink;
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot};
 
@@ -61,10 +62,10 @@ pub(super) fn read(
     options: &ImportOptions,
     sink: &mut Sink,
 ) -> Vec<Motion> {
-    let read = read_header(bytes).map_err(|message| (Code::Unreadable, message)).and_then(|header| {
-        let mut mapped = mapped(&header, input, options).map_err(|message| (Code::ImportNames, message))?;
+    let read = read_header(bytes).map_err(|fault| (Code::Unreadable, fault)).and_then(|header| {
+        let mut mapped = mapped(&header, input, options).map_err(|fault| (Code::ImportNames, fault))?;
         let frames =
-            read_frames(bytes, &header, &mut mapped, sink).map_err(|message| (Code::ImportShape, message))?;
+            read_frames(bytes, &header, &mut mapped, sink).map_err(|fault| (Code::ImportShape, fault))?;
         Ok((header, mapped, frames))
     });
     match read {
@@ -72,22 +73,22 @@ pub(super) fn read(
             note(&header, &mapped, name, frames, sink);
             by_robot(&input.scene, mapped.into_iter().map(|mapped| (mapped.robot, mapped.motion)))
         }
-        Err((code, message)) => {
+        Err((code, fault)) => {
             let expected = "an xLights sequence (FSEQ version 2), with its channels mapped as in --map robot/device=1,2,3";
-            sink.about(name, code, message, expected, None);
+            sink.about(name, code, fault.to_string(), expected, None);
             Vec::new()
         }
     }
 }
 
-fn number(bytes: &[u8], at: usize, width: usize) -> Result<usize, String> {
+fn number(bytes: &[u8], at: usize, width: usize) -> Result<usize, Malformed> {
     let part = bytes
         .get(at..at + width)
         .ok_or_else(|| format!("unexpected end of the file at byte {}", bytes.len()))?;
     Ok(part.iter().rev().fold(0, |sum, byte| (sum << 8) | usize::from(*byte)))
 }
 
-fn read_header(bytes: &[u8]) -> Result<Header, String> {
+fn read_header(bytes: &[u8]) -> Result<Header, Malformed> {
     match bytes.get(..4) {
         // The first versions of the format begin with FSEQ.
         Some(b"PSEQ" | b"FSEQ") => {}
@@ -106,14 +107,16 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
     }
     let (minor, major) = (number(bytes, 6, 1)?, number(bytes, 7, 1)?);
     if major != 2 {
-        return Err(format!("version {major}.{minor} of FSEQ is not supported: save the file as version 2"));
+        return Err(
+            format!("version {major}.{minor} of FSEQ is not supported: save the file as version 2").into()
+        );
     }
     let kind = number(bytes, 20, 1)?;
     let packed = match kind & 15 {
         0 => Packed::Plain,
         1 => Packed::Zstd,
         2 => Packed::Zlib,
-        other => return Err(format!("unknown compression {other}")),
+        other => return Err(format!("unknown compression {other}").into()),
     };
     let blocks = ((kind >> 4) << 8) | number(bytes, 21, 1)?;
     let ranges = HEADER + 8 * blocks;
@@ -127,27 +130,32 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
         frames: number(bytes, 14, 4)?,
         step_ms: number(bytes, 18, 1)? as i64,
         packed,
-        blocks: (0..blocks).map(block).collect::<Result<_, String>>()?,
-        ranges: (0..count).map(range).collect::<Result<_, String>>()?,
+        blocks: (0..blocks).map(block).collect::<Result<_, Malformed>>()?,
+        ranges: (0..count).map(range).collect::<Result<_, Malformed>>()?,
         variables: variables(bytes, ranges + 6 * count, number(bytes, 4, 2)?),
     };
     check(&header)?;
     Ok(header)
 }
 
-fn check(header: &Header) -> Result<(), String> {
+fn check(header: &Header) -> Result<(), Malformed> {
     let Header { channels, frames, step_ms, .. } = *header;
     if channels == 0 || frames == 0 || step_ms == 0 {
-        return Err(format!("invalid header: {channels} channels, {frames} frames, {step_ms} ms per frame"));
+        return Err(
+            format!("invalid header: {channels} channels, {frames} frames, {step_ms} ms per frame").into()
+        );
     }
     let sum: usize = header.ranges.iter().map(|(_, count)| count).sum();
     if !header.ranges.is_empty() && sum != channels {
-        return Err(format!("the channel ranges have {sum} channels in total, but the file has {channels}"));
+        return Err(
+            format!("the channel ranges have {sum} channels in total, but the file has {channels}").into()
+        );
     }
     if (frames as u64).saturating_mul(channels as u64) > ALL_BYTES_MAX {
         return Err(format!(
             "{frames} frames of {channels} channels exceed the limit of {ALL_BYTES_MAX} bytes"
-        ));
+        )
+        .into());
     }
     Ok(())
 }
@@ -166,15 +174,15 @@ fn variables(bytes: &[u8], mut at: usize, end: usize) -> Vec<String> {
     names
 }
 
-fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec<Mapped>, String> {
+fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec<Mapped>, Malformed> {
     if options.columns.is_empty() {
-        return Err(format!("none of the {} channels is mapped to a device", header.channels));
+        return Err(format!("none of the {} channels is mapped to a device", header.channels).into());
     }
     let mut mapped = Vec::new();
     for (target, channels) in &options.columns {
         for (target, channels) in spread(target, channels)? {
             let (robot, device) = target.split_once('/').unwrap_or((&input.robot, &target));
-            let places: Result<Vec<usize>, String> =
+            let places: Result<Vec<usize>, Malformed> =
                 channels.iter().map(|channel| place(header, *channel)).collect();
             let course = if channels.len() == 1 { Course::Held } else { Course::Several(Vec::new()) };
             let motion = DeviceMotion { device: device.to_owned(), course, ..DeviceMotion::default() };
@@ -183,23 +191,23 @@ fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec
     }
     let all: usize = mapped.iter().map(|mapped| mapped.places.len()).sum();
     if all > CHANNELS_MAX {
-        return Err(format!("{all} channels are mapped, but the limit is {CHANNELS_MAX}"));
+        return Err(format!("{all} channels are mapped, but the limit is {CHANNELS_MAX}").into());
     }
     Ok(mapped)
 }
 
 /// Expands a target and its channels: `lamp=1,2,3` remains unchanged; `px*=1-300/3` becomes `px1=1,2,3`, `px2=4,5,6` and so on.
-fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, String> {
+fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Malformed> {
     let wrong = || {
-        format!(
+        Malformed::from(format!(
             "`{}` is not a list of channels: write 1,2,3, or, if the device name contains a star, a range such as 1-300/3",
             shortened(channels)
-        )
+        ))
     };
     let number =
         |text: &str| text.trim().parse::<usize>().ok().filter(|number| *number > 0).ok_or_else(wrong);
     if !target.contains('*') {
-        let channels: Result<Vec<usize>, String> = channels.split(',').map(number).collect();
+        let channels: Result<Vec<usize>, Malformed> = channels.split(',').map(number).collect();
         return Ok(vec![(target.to_owned(), channels?)]);
     }
     let (range, width) = channels
@@ -212,7 +220,8 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     if last < first || last - first >= CHANNELS_MAX || (last - first + 1) % width != 0 {
         return Err(format!(
             "channels {first} to {last} cannot be divided evenly into devices of {width} channels"
-        ));
+        )
+        .into());
     }
     let device = |index: usize| {
         let from = first + index * width;
@@ -222,7 +231,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
 }
 
 /// Returns the index of the byte that a channel has in each frame. Channels are counted from 1.
-fn place(header: &Header, channel: usize) -> Result<usize, String> {
+fn place(header: &Header, channel: usize) -> Result<usize, Malformed> {
     let mut before = 0;
     for (first, count) in &header.ranges {
         if (first + 1..=first + count).contains(&channel) {
@@ -231,7 +240,7 @@ fn place(header: &Header, channel: usize) -> Result<usize, String> {
         before += count;
     }
     let whole = header.ranges.is_empty() && channel <= header.channels;
-    if whole { Ok(channel - 1) } else { Err(format!("the file has no channel {channel}")) }
+    if whole { Ok(channel - 1) } else { Err(format!("the file has no channel {channel}").into()) }
 }
 
 fn read_frames(
@@ -239,7 +248,7 @@ fn read_frames(
     header: &Header,
     mapped: &mut [Mapped],
     sink: &mut Sink,
-) -> Result<usize, String> {
+) -> Result<usize, Malformed> {
     let data = bytes.get(header.data..).ok_or("the file ends before the frame data")?;
     let mut frames = Frames { header, mapped, index: 0, partial: Vec::new(), sink };
     if header.packed == Packed::Plain {
@@ -274,7 +283,7 @@ struct Frames<'a> {
 }
 
 impl Frames<'_> {
-    fn unpack(&mut self, mut from: impl Read) -> Result<(), String> {
+    fn unpack(&mut self, mut from: impl Read) -> Result<(), Malformed> {
         let mut buffer = vec![0; 64 << 10];
         while self.index < self.header.frames {
             let count =
@@ -287,7 +296,7 @@ impl Frames<'_> {
         Ok(())
     }
 
-    fn feed(&mut self, mut data: &[u8]) -> Result<(), String> {
+    fn feed(&mut self, mut data: &[u8]) -> Result<(), Malformed> {
         let width = self.header.channels;
         if !self.partial.is_empty() {
             let take = (width - self.partial.len()).min(data.len());
@@ -307,7 +316,7 @@ impl Frames<'_> {
         Ok(())
     }
 
-    fn frame(&mut self, frame: &[u8]) -> Result<(), String> {
+    fn frame(&mut self, frame: &[u8]) -> Result<(), Malformed> {
         if self.index == self.header.frames {
             return Ok(());
         }
@@ -329,7 +338,7 @@ impl Frames<'_> {
         }
     }
 
-    fn finish(self) -> Result<usize, String> {
+    fn finish(self) -> Result<usize, Malformed> {
         let frames = self.header.frames;
         if self.index == frames {
             // The last frame has the same duration as all others.
@@ -337,7 +346,7 @@ impl Frames<'_> {
             self.mapped.iter_mut().for_each(|mapped| mapped.end(end));
             Ok(frames)
         } else {
-            Err(format!("the file has {} frames, but its header states {frames}", self.index))
+            Err(format!("the file has {} frames, but its header states {frames}", self.index).into())
         }
     }
 }

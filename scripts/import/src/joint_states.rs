@@ -13,6 +13,7 @@ use downbeat_yaml::finding::{Code, names};
 use downbeat_yaml::render::counted;
 
 use super::input::Input;
+use super::malformed::Malformed;
 use super::sink::Sink;
 use super::units::OF_JOINTS;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
@@ -60,8 +61,8 @@ struct Recording {
 /// Reads one file, which contains one robot per topic, in one scene.
 pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
     let mut recording = Recording { left: ALL_BYTES_MAX, ..Recording::default() };
-    if let Err(message) = recording.read(bytes, sink) {
-        sink.about(name, Code::Unreadable, message, "an MCAP recording", None);
+    if let Err(fault) = recording.read(bytes, sink) {
+        sink.about(name, Code::Unreadable, fault.to_string(), "an MCAP recording", None);
         return Vec::new();
     }
     let mut topics: Vec<Topic> = recording.topics.into_values().collect();
@@ -102,8 +103,8 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
 fn records(
     mut bytes: &[u8],
     options: LinearReaderOptions,
-    mut take: impl FnMut(Record<'_>) -> Result<(), String>,
-) -> Result<(), String> {
+    mut take: impl FnMut(Record<'_>) -> Result<(), Malformed>,
+) -> Result<(), Malformed> {
     // Without this limit, the library uses any length that a record states.
     let mut reader = LinearReader::new_with_options(options.with_record_length_limit(bytes.len()));
     while let Some(event) = reader.next_event() {
@@ -125,7 +126,7 @@ fn records(
 }
 
 impl Recording {
-    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), String> {
+    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), Malformed> {
         let options = LinearReaderOptions::default().with_emit_chunks(true);
         records(bytes, options, |record| {
             match record {
@@ -138,10 +139,10 @@ impl Recording {
                 Ok(())
             }
         })
-        .map_err(|error| format!("the recording cannot be read: {error}"))
+        .map_err(|error| format!("the recording cannot be read: {error}").into())
     }
 
-    fn chunk(&mut self, header: &ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), String> {
+    fn chunk(&mut self, header: &ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), Malformed> {
         let most = CHUNK_BYTES_MAX.min(self.left);
         let plain = match header.compression.as_str() {
             "" => data.to_vec(),
@@ -150,19 +151,19 @@ impl Recording {
             other => {
                 return Err(format!(
                     "the chunk compression {other} is not supported; convert the recording with `mcap recover --compression zstd`"
-                ));
+                ).into());
             }
         };
         if plain.len() as u64 > most {
-            return Err(format!("an unpacked chunk has more than {most} bytes"));
+            return Err(format!("an unpacked chunk has more than {most} bytes").into());
         }
         self.left -= plain.len() as u64;
         let options = LinearReaderOptions::default().with_skip_start_magic(true).with_skip_end_magic(true);
         records(&plain, options, |record| if self.more { Ok(()) } else { self.record(record, sink) })
-            .map_err(|error| format!("in a chunk: {error}"))
+            .map_err(|error| format!("in a chunk: {error}").into())
     }
 
-    fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), String> {
+    fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), Malformed> {
         match record {
             Record::Schema { header, .. } => drop(self.schemas.insert(header.id, header.name)),
             Record::Channel(channel) => self.channel(channel)?,
@@ -177,7 +178,7 @@ impl Recording {
         Ok(())
     }
 
-    fn channel(&mut self, channel: mcap::records::Channel) -> Result<(), String> {
+    fn channel(&mut self, channel: mcap::records::Channel) -> Result<(), Malformed> {
         let schema = self.schemas.get(&channel.schema_id).map_or("", String::as_str);
         let encoding = match channel.message_encoding.as_str() {
             "cdr" => Some(Encoding::Cdr),
@@ -185,7 +186,7 @@ impl Recording {
             _ => None,
         };
         if self.topics.len() + self.others.len() >= TOPICS_MAX {
-            return Err(format!("the recording has more than {TOPICS_MAX} topics"));
+            return Err(format!("the recording has more than {TOPICS_MAX} topics").into());
         }
         match encoding.filter(|_| SCHEMAS.contains(&schema)) {
             None => drop(self.others.insert(channel.topic)),
@@ -207,12 +208,12 @@ impl Recording {
 }
 
 /// Returns a reader that unpacks a compressed chunk.
-fn zstd(data: &[u8]) -> Result<impl Read, String> {
+fn zstd(data: &[u8]) -> Result<impl Read, Malformed> {
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(data, WINDOW_MAX);
-    decoder.map_err(|error| format!("a chunk cannot be unpacked: {error}"))
+    decoder.map_err(|error| format!("a chunk cannot be unpacked: {error}").into())
 }
 
-fn unpacked(packed: impl Read, most: u64) -> Result<Vec<u8>, String> {
+fn unpacked(packed: impl Read, most: u64) -> Result<Vec<u8>, Malformed> {
     let mut plain = Vec::new();
     let read = packed.take(most + 1).read_to_end(&mut plain);
     read.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
@@ -225,7 +226,7 @@ impl Topic {
     }
 
     /// Adds a message, and returns the number of positions that it contains.
-    fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
+    fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, Malformed> {
         let state = JointState::read(data, self.encoding)
             .map_err(|error| format!("a message of `{}`: {error}", self.name))?;
         if state.positions.is_empty() {
@@ -239,7 +240,8 @@ impl Topic {
                 self.name,
                 counted(positions, "position"),
                 counted(names, "joint")
-            ));
+            )
+            .into());
         }
         self.unstamped += usize::from(state.stamp == 0);
         let at_ns = if state.stamp == 0 { log_time } else { state.stamp };
@@ -250,7 +252,8 @@ impl Topic {
                     "a message of `{}` has the invalid position {value} for the joint `{}`",
                     self.name,
                     downbeat_yaml::shown::shortened(&name)
-                ));
+                )
+                .into());
             }
             let joint = match self.by_name.get(&name) {
                 Some(joint) => *joint,
@@ -261,9 +264,9 @@ impl Topic {
         Ok(count)
     }
 
-    fn join(&mut self, name: String) -> Result<usize, String> {
+    fn join(&mut self, name: String) -> Result<usize, Malformed> {
         if self.joints.len() == JOINTS_MAX {
-            return Err(format!("`{}` has more than {JOINTS_MAX} joints", self.name));
+            return Err(format!("`{}` has more than {JOINTS_MAX} joints", self.name).into());
         }
         self.by_name.insert(name.clone(), self.joints.len());
         self.joints.push(name);
@@ -329,7 +332,7 @@ struct JointState {
 }
 
 impl JointState {
-    fn read(data: &[u8], encoding: Encoding) -> Result<Self, String> {
+    fn read(data: &[u8], encoding: Encoding) -> Result<Self, Malformed> {
         let mut bytes = match encoding {
             Encoding::Ros1 => Bytes { data, at: 0, big: false, aligned: false },
             Encoding::Cdr => {
@@ -338,7 +341,7 @@ impl JointState {
                     kind @ (0 | 1) if data[0] == 0 => {
                         Bytes { data: body, at: 0, big: kind == 0, aligned: true }
                     }
-                    kind => return Err(format!("unknown CDR encoding {kind}")),
+                    kind => return Err(format!("unknown CDR encoding {kind}").into()),
                 }
             }
         };
@@ -365,7 +368,7 @@ struct Bytes<'a> {
 }
 
 impl Bytes<'_> {
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
         if self.aligned {
             self.at = self.at.next_multiple_of(N);
         }
@@ -378,25 +381,25 @@ impl Bytes<'_> {
         Ok(part)
     }
 
-    fn u32(&mut self) -> Result<u32, String> {
+    fn u32(&mut self) -> Result<u32, Malformed> {
         self.take().map(u32::from_le_bytes)
     }
 
-    fn f64(&mut self) -> Result<f64, String> {
+    fn f64(&mut self) -> Result<f64, Malformed> {
         self.take().map(f64::from_le_bytes)
     }
 
-    fn count(&mut self, most: usize) -> Result<usize, String> {
+    fn count(&mut self, most: usize) -> Result<usize, Malformed> {
         let count = self.u32()? as usize;
-        if count > most { Err(format!("{count} entries, but the limit is {most}")) } else { Ok(count) }
+        if count > most { Err(format!("{count} entries, but the limit is {most}").into()) } else { Ok(count) }
     }
 
-    fn text(&mut self) -> Result<String, String> {
+    fn text(&mut self) -> Result<String, Malformed> {
         let length = self.count(NAME_BYTES_MAX)?;
         let part =
             self.data.get(self.at..self.at + length).ok_or("the message ends in the middle of a text")?;
         self.at += length;
         let part = part.strip_suffix(&[0]).unwrap_or(part);
-        String::from_utf8(part.to_vec()).map_err(|_| "a name is not valid UTF-8".to_owned())
+        String::from_utf8(part.to_vec()).map_err(|_| "a name is not valid UTF-8".into())
     }
 }

@@ -1,5 +1,7 @@
 //! Plays light programs of Skybrush. Their bytes are commands that set colours, fade, wait and repeat, in frames of 20 ms.
 
+use super::malformed::Malformed;
+
 /// Duration of one frame, in milliseconds.
 const FRAME_MS: u64 = 20;
 /// Maximum number of executed commands, and maximum number of nested loops.
@@ -43,7 +45,7 @@ struct Player<'a> {
 }
 
 /// Plays a program to its end, or until `until_ms` if it contains an endless loop. Returns an error if the program is invalid.
-pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
+pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, Malformed> {
     let mut player =
         Player { bytes, at: 0, loops: Vec::new(), now_ms: 0, color: [0; 3], lights: Lights::default() };
     for _ in 0..COMMANDS_MAX {
@@ -58,12 +60,12 @@ pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
             return Ok(player.lights);
         }
     }
-    Err(format!("the light program executes more than {COMMANDS_MAX} commands"))
+    Err(format!("the light program executes more than {COMMANDS_MAX} commands").into())
 }
 
 impl Player<'_> {
     /// Executes one command. Returns `false` at the end of the program.
-    fn step(&mut self) -> Result<bool, String> {
+    fn step(&mut self) -> Result<bool, Malformed> {
         let begin = self.at;
         let Some(command) = self.bytes.get(self.at).copied() else { return Ok(false) };
         self.at += 1;
@@ -80,17 +82,17 @@ impl Player<'_> {
                 self.byte()?;
                 self.lights.pyro += 1;
             }
-            16 | 17 => return Err(told(begin, "takes colours from a remote control")),
-            18 | 19 => return Err(told(begin, "jumps")),
-            14 => return Err(told(begin, "sets the clock back")),
+            16 | 17 => return Err(unsupported(begin, "takes colours from a remote control")),
+            18 | 19 => return Err(unsupported(begin, "jumps")),
+            14 => return Err(unsupported(begin, "sets the clock back")),
             other => {
-                return Err(format!("unknown command {other} at byte {begin} of the light program"));
+                return Err(format!("unknown command {other} at byte {begin} of the light program").into());
             }
         }
         Ok(true)
     }
 
-    fn set(&mut self, command: u8) -> Result<(), String> {
+    fn set(&mut self, command: u8) -> Result<(), Malformed> {
         let color = self.color_of(command)?;
         let duration = self.duration()?;
         let (from_ms, from) = (self.now_ms, self.color);
@@ -100,7 +102,7 @@ impl Player<'_> {
         Ok(())
     }
 
-    fn fade(&mut self, command: u8) -> Result<(), String> {
+    fn fade(&mut self, command: u8) -> Result<(), Malformed> {
         let color = self.color_of(command)?;
         let from_ms = self.now_ms;
         self.now_ms += self.duration()?;
@@ -109,7 +111,7 @@ impl Player<'_> {
         Ok(())
     }
 
-    fn color_of(&mut self, command: u8) -> Result<Color, String> {
+    fn color_of(&mut self, command: u8) -> Result<Color, Malformed> {
         Ok(match command {
             4 => [self.byte()?, self.byte()?, self.byte()?],
             5 => [self.byte()?; 3],
@@ -118,18 +120,20 @@ impl Player<'_> {
         })
     }
 
-    fn begin_loop(&mut self) -> Result<(), String> {
+    fn begin_loop(&mut self) -> Result<(), Malformed> {
         let turns = self.byte()?;
         if self.loops.len() == LOOPS_MAX {
-            return Err(format!("the light program has more than {LOOPS_MAX} nested loops"));
+            return Err(format!("the light program has more than {LOOPS_MAX} nested loops").into());
         }
         self.loops.push((self.at, (turns > 0).then_some(turns)));
         Ok(())
     }
 
-    fn end_loop(&mut self) -> Result<(), String> {
+    fn end_loop(&mut self) -> Result<(), Malformed> {
         let Some((begin, left)) = self.loops.last_mut() else {
-            return Err(format!("unexpected end of a loop at byte {} of the light program", self.at - 1));
+            return Err(
+                format!("unexpected end of a loop at byte {} of the light program", self.at - 1).into()
+            );
         };
         match left {
             Some(1) => drop(self.loops.pop()),
@@ -142,14 +146,14 @@ impl Player<'_> {
         Ok(())
     }
 
-    fn byte(&mut self) -> Result<u8, String> {
+    fn byte(&mut self) -> Result<u8, Malformed> {
         let byte = self.bytes.get(self.at).copied();
         self.at += 1;
-        byte.ok_or_else(|| "the light program ends within a command".to_owned())
+        byte.ok_or_else(|| "the light program ends within a command".into())
     }
 
     /// Reads a duration: a number of frames with seven bits per byte, least significant first.
-    fn duration(&mut self) -> Result<u64, String> {
+    fn duration(&mut self) -> Result<u64, Malformed> {
         let mut frames = 0_u64;
         for shift in [0, 7, 14, 21] {
             let byte = self.byte()?;
@@ -158,14 +162,15 @@ impl Player<'_> {
                 return Ok(frames * FRAME_MS);
             }
         }
-        Err(format!("a time at byte {} of the light program has more than four bytes", self.at - 1))
+        Err(format!("a time at byte {} of the light program has more than four bytes", self.at - 1).into())
     }
 }
 
-fn told(at: usize, what: &str) -> String {
+fn unsupported(at: usize, what: &str) -> Malformed {
     format!(
         "the light program {what} at byte {at}: commands that depend on the running show are not supported"
     )
+    .into()
 }
 
 /// Returns the colours, each with its time: at each change and, during a fade, at each multiple of the period. The last colour is at the

@@ -84,7 +84,7 @@ fn read_events(bytes: &[u8]) -> Result<(Song, Read), (Code, String)> {
     }
     let mut read = Read::default();
     let song = standard_midi::read(bytes, |tick, event| read.add(tick, event));
-    let song = song.map_err(|message| (Code::Unreadable, message))?;
+    let song = song.map_err(|fault| (Code::Unreadable, fault.to_string()))?;
     read.sets.sort_by_key(|set| set.tick);
     read.tempi.sort_by_key(|(tick, _)| *tick);
     Ok((song, read))

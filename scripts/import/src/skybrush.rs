@@ -16,6 +16,7 @@ use downbeat_yaml::source::Source;
 use super::archive::Archive;
 use super::input::Input;
 use super::light_program::{self, Color, Lights};
+use super::malformed::Malformed;
 use super::sink::Sink;
 use super::{
     Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
@@ -38,20 +39,20 @@ const DRONE_KEYS: [&str; 4] = ["name", "trajectory", "lights", "yawControl"];
 /// The parts of a drone. Each part is in a separate file or in the show's file.
 struct Drone {
     name: String,
-    trajectory: Part,
-    lights: Option<Part>,
-    yaw: Option<Part>,
+    trajectory: PartSource,
+    lights: Option<PartSource>,
+    yaw: Option<PartSource>,
 }
 
 /// Where a part of the show is written: in the show's file or in a separate file.
-enum Part {
+enum PartSource {
     Here(Node),
     File(String),
 }
 
 /// Observations that are reported once for all drones.
 #[derive(Default)]
-struct Told {
+struct ShowRemarks {
     left_out: BTreeSet<String>,
     pyro: usize,
     endless: usize,
@@ -67,7 +68,7 @@ struct Show<'a> {
     archive: Archive<'a>,
     name: &'a str,
     period_ms: u64,
-    told: Told,
+    told: ShowRemarks,
 }
 
 /// Reads one file, which contains the motions of all drones in one scene.
@@ -80,18 +81,18 @@ pub(super) fn read(
 ) -> Vec<Motion> {
     let archive = match Archive::new(bytes) {
         Ok(archive) => archive,
-        Err(message) => {
+        Err(fault) => {
             sink.about(
                 name,
                 Code::Unreadable,
-                message,
+                fault.to_string(),
                 "a compiled Skybrush show, a ZIP archive with `show.json`",
                 None,
             );
             return Vec::new();
         }
     };
-    let mut show = Show { archive, name, period_ms: period_ms(options), told: Told::default() };
+    let mut show = Show { archive, name, period_ms: period_ms(options), told: ShowRemarks::default() };
     let drones = show.source("show.json", sink).and_then(|source| {
         tree::read_json(&source, sink, |root, findings, _| read_show(root, &mut show.told, findings))
     });
@@ -116,7 +117,7 @@ fn period_ms(options: &ImportOptions) -> u64 {
     (1_000.0 / options.rate_hz.unwrap_or(FADE_HZ)).clamp(1.0, 1e6) as u64
 }
 
-impl Told {
+impl ShowRemarks {
     fn note(&self, file: &str, period_ms: u64, sink: &mut Sink) {
         let mut tell = |count: usize, text: &str| {
             if count > 0 {
@@ -141,7 +142,7 @@ impl Told {
     }
 }
 
-fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Vec<Drone>> {
+fn read_show(root: &At<'_>, told: &mut ShowRemarks, findings: &mut Reader) -> Option<Vec<Drone>> {
     version(root, "the show", findings);
     note_unused(root, "", &SHOW_KEYS, told);
     told.clearance = Some(clearance(root));
@@ -200,7 +201,7 @@ fn clearance(root: &At<'_>) -> Clearance {
     }
 }
 
-fn note_unused(at: &At<'_>, whose: &str, used: &[&str], told: &mut Told) {
+fn note_unused(at: &At<'_>, whose: &str, used: &[&str], told: &mut ShowRemarks) {
     let Node::Map(entries) = at.node else { return };
     for (key, _) in entries.iter().filter(|(key, _)| !used.contains(&key.as_str())).take(50) {
         if told.left_out.len() < 50 {
@@ -219,13 +220,13 @@ fn version(at: &At<'_>, what: &str, findings: &mut Reader) {
 }
 
 /// Locates a part of the show. For example, `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
-fn part(at: &At<'_>) -> Part {
+fn part(at: &At<'_>) -> PartSource {
     match tree::optional(at, "$ref").map(|at| at.node) {
         Some(Node::Text(reference)) => {
             let path = reference.split('#').next().unwrap_or("");
-            Part::File(path.trim_start_matches("./").trim_start_matches('/').to_owned())
+            PartSource::File(path.trim_start_matches("./").trim_start_matches('/').to_owned())
         }
-        _ => Part::Here(at.node.clone()),
+        _ => PartSource::Here(at.node.clone()),
     }
 }
 
@@ -234,11 +235,11 @@ impl Show<'_> {
         let name = format!("{}/{file}", self.name);
         let bytes = match self.archive.file(file) {
             Ok(bytes) => bytes,
-            Err(message) => {
+            Err(fault) => {
                 let known: Vec<String> = self.archive.names().take(6).collect();
                 let known = names(known.iter().map(String::as_str));
                 let hint = Some(format!("the archive contains {known}")).filter(|_| !known.is_empty());
-                sink.about(&name, Code::Unreadable, message, "a file of the show", hint.as_deref());
+                sink.about(&name, Code::Unreadable, fault.to_string(), "a file of the show", hint.as_deref());
                 return None;
             }
         };
@@ -248,17 +249,17 @@ impl Show<'_> {
     /// Reads a part of a drone from the show's file or from a separate file.
     fn part<T>(
         &mut self,
-        part: &Part,
+        part: &PartSource,
         whose: &str,
         sink: &mut Sink,
         read: impl FnOnce(&At<'_>, &mut Reader) -> Option<T>,
     ) -> Option<T> {
         match part {
-            Part::File(file) => {
+            PartSource::File(file) => {
                 let source = self.source(file, sink)?;
                 tree::read_json(&source, sink, |root, findings, _| read(root, findings))
             }
-            Part::Here(node) => {
+            PartSource::Here(node) => {
                 let mut findings = Reader::default();
                 let result = read(&At::document(node, 0), &mut findings);
                 let sound = findings.found.is_empty();
@@ -322,7 +323,7 @@ impl Show<'_> {
 }
 
 /// The path of a drone, from the start of the show.
-struct Way {
+struct FlightPath {
     takeoff: Span,
     end: Span,
     points: Vec<Waypoint>,
@@ -336,7 +337,7 @@ struct Waypoint {
     controls: Vec<[f64; 3]>,
 }
 
-impl Way {
+impl FlightPath {
     /// Converts one axis of the path. A straight path becomes keyframes; any other path becomes a curve.
     fn device(&self, axis: usize) -> DeviceMotion {
         let first = self
@@ -390,7 +391,7 @@ fn coefficients(points: &[f64], seconds: f64) -> Vec<f64> {
     coefficients
 }
 
-fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<Way> {
+fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<FlightPath> {
     version(at, "the trajectory", findings);
     let takeoff = match tree::optional(at, "takeoffTime").filter(|at| *at.node != Node::Null) {
         Some(at) => time_of(&at, "the takeoff", findings)?,
@@ -398,7 +399,7 @@ fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<Way> {
     };
     let list = tree::required(at, "points", "the trajectory", findings)?;
     let items = tree::points(&list, findings);
-    let mut way = Way { takeoff, end: Span::ZERO, points: Vec::with_capacity(items.len()), still: 0 };
+    let mut way = FlightPath { takeoff, end: Span::ZERO, points: Vec::with_capacity(items.len()), still: 0 };
     for (index, item) in items.iter().enumerate() {
         if let Some(point) = read_point(item, index, takeoff, findings) {
             way.add(point, item, index, findings);
@@ -411,7 +412,7 @@ fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<Way> {
     Some(way)
 }
 
-impl Way {
+impl FlightPath {
     fn add(&mut self, point: Waypoint, at: &At<'_>, index: usize, findings: &mut Reader) {
         let Some(last) = self.points.last() else { return self.points.push(point) };
         if last.at < point.at {
@@ -526,11 +527,18 @@ fn read_lights(at: &At<'_>, end_ms: u64, findings: &mut Reader) -> Option<Lights
         findings.wrong_type(&data, "a base64 text");
         return None;
     };
-    let bytes = STANDARD.decode(text.trim()).map_err(|error| format!("this is not base64: {error}"));
+    let decoded = STANDARD.decode(text.trim());
+    let bytes = decoded.map_err(|error| Malformed::from(format!("this is not base64: {error}")));
     match bytes.and_then(|bytes| light_program::play(&bytes, end_ms)) {
         Ok(lights) => Some(lights),
-        Err(message) => {
-            findings.add(Code::ImportShape, data.place(), message, "a Skybrush light program", None);
+        Err(fault) => {
+            findings.add(
+                Code::ImportShape,
+                data.place(),
+                fault.to_string(),
+                "a Skybrush light program",
+                None,
+            );
             None
         }
     }

@@ -1,5 +1,7 @@
 //! Parses the bytes of standard MIDI files: chunks, tracks and their events. Every byte is read, or reported with its position.
 
+use super::malformed::Malformed;
+
 /// How ticks are converted to time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Timing {
@@ -42,7 +44,7 @@ const CHUNK: usize = 8;
 const END_OF_TRACK: u8 = 0x2f;
 
 /// Reads all tracks in order, and passes each event with its tick to `take`. Ticks count from the start of each track.
-pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) -> Result<Song, String> {
+pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) -> Result<Song, Malformed> {
     let bytes = unwrapped(bytes);
     let (timing, tracks, length) = header(bytes)?;
     let mut song = Song { timing, resumed: 0, passed_over: Vec::new() };
@@ -58,7 +60,8 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
             let end = bytes.len();
             return Err(format!(
                 "the file is cut off at byte {end}, within the {CHUNK}-byte header of the chunk at byte {at}"
-            ));
+            )
+            .into());
         };
         let is_track = name == b"MTrk";
         found += usize::from(is_track);
@@ -67,7 +70,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
             let (end, left) = (bytes.len(), bytes.len() - begin);
             return Err(format!(
                 "the file is cut off at byte {end}: {what}, which starts at byte {begin}, has only {left} of {length} bytes"
-            ));
+            ).into());
         };
         if is_track {
             Track { bytes: &bytes[..end], at: begin, number: found, status: None, interrupted: false }
@@ -83,7 +86,8 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
         Err(format!(
             "the header states {}, but the file has {found}",
             downbeat_yaml::render::counted(tracks, "track")
-        ))
+        )
+        .into())
     }
 }
 
@@ -94,7 +98,7 @@ fn unwrapped(bytes: &[u8]) -> &[u8] {
 }
 
 /// Parses the header of the file. Returns the timing, the number of tracks, and the length of the header in bytes.
-fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
+fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), Malformed> {
     if !bytes.starts_with(b"MThd") {
         return Err(not_midi(bytes));
     }
@@ -102,19 +106,23 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     let (Some(length), Some(format), Some(tracks), Some(division)) =
         (part(4, 4), part(8, 2), part(10, 2), part(12, 2))
     else {
-        return Err(format!("the file is cut off at byte {}, within its {HEADER}-byte header", bytes.len()));
+        return Err(
+            format!("the file is cut off at byte {}, within its {HEADER}-byte header", bytes.len()).into()
+        );
     };
     if length < HEADER - CHUNK {
-        return Err(format!("the header has {length} bytes, but must have at least {}", HEADER - CHUNK));
+        return Err(
+            format!("the header has {length} bytes, but must have at least {}", HEADER - CHUNK).into()
+        );
     }
     if format == 2 && tracks > 1 {
-        return Err("format 2, in which each track is a separate song, is not supported: save each track as a separate file".to_owned());
+        return Err("format 2, in which each track is a separate song, is not supported: save each track as a separate file".into());
     }
     let low = (division & 0xff) as f64;
     let timing = match (division >> 8, division) {
-        (_, 0) => return Err("the header states 0 ticks per beat".to_owned()),
+        (_, 0) => return Err("the header states 0 ticks per beat".into()),
         (0..0x80, ticks) => Timing::Beats(ticks as f64),
-        _ if low == 0.0 => return Err("the header states 0 ticks per frame".to_owned()),
+        _ if low == 0.0 => return Err("the header states 0 ticks per frame".into()),
         (0xe8, _) => Timing::Frames(24.0, low),
         (0xe7, _) => Timing::Frames(25.0, low),
         (0xe3, _) => Timing::Frames(30_000.0 / 1_001.0, low),
@@ -123,21 +131,23 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
             return Err(format!(
                 "the header states {} SMPTE frames per second, which is not supported",
                 256 - rate
-            ));
+            )
+            .into());
         }
     };
     Ok((timing, tracks, length))
 }
 
 /// Returns the error message for a file that does not begin with `MThd`. It quotes the first bytes if they are text.
-fn not_midi(bytes: &[u8]) -> String {
+fn not_midi(bytes: &[u8]) -> Malformed {
     let begin = &bytes[..bytes.len().min(4)];
     match begin {
-        [] => "the file is empty".to_owned(),
+        [] => "the file is empty".into(),
         _ if begin.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) => {
             format!("this is not a MIDI file: found `{}` at byte 0, expected `MThd`", begin.escape_ascii())
+                .into()
         }
-        _ => "this is not a MIDI file: it does not begin with `MThd`".to_owned(),
+        _ => "this is not a MIDI file: it does not begin with `MThd`".into(),
     }
 }
 
@@ -160,7 +170,7 @@ struct Track<'a> {
 }
 
 impl<'a> Track<'a> {
-    fn read(mut self, song: &mut Song, take: &mut impl FnMut(u64, Event<'a>)) -> Result<(), String> {
+    fn read(mut self, song: &mut Song, take: &mut impl FnMut(u64, Event<'a>)) -> Result<(), Malformed> {
         let mut tick = 0_u64;
         while self.at < self.bytes.len() {
             tick += self.variable()? as u64;
@@ -177,7 +187,7 @@ impl<'a> Track<'a> {
         Ok(())
     }
 
-    fn event(&mut self, song: &mut Song) -> Result<Event<'a>, String> {
+    fn event(&mut self, song: &mut Song) -> Result<Event<'a>, Malformed> {
         let at = self.at;
         let first = self.byte()?;
         let status = match first {
@@ -217,18 +227,18 @@ impl<'a> Track<'a> {
         Ok(Event::Channel { channel, status, data })
     }
 
-    fn wrong(&self, at: usize, message: &str) -> String {
-        format!("track {}, byte {at}: {message}", self.number)
+    fn wrong(&self, at: usize, message: &str) -> Malformed {
+        format!("track {}, byte {at}: {message}", self.number).into()
     }
 
-    fn byte(&mut self) -> Result<u8, String> {
+    fn byte(&mut self) -> Result<u8, Malformed> {
         let byte = self.bytes.get(self.at).copied();
         self.at += usize::from(byte.is_some());
         byte.ok_or_else(|| self.wrong(self.at, "the track ends within an event"))
     }
 
     /// Reads a data byte of a message.
-    fn value(&mut self) -> Result<u8, String> {
+    fn value(&mut self) -> Result<u8, Malformed> {
         match self.byte()? {
             value @ 0..0x80 => Ok(value),
             other => Err(self.wrong(
@@ -239,7 +249,7 @@ impl<'a> Track<'a> {
     }
 
     /// Reads a variable-length number: seven bits per byte, most significant first.
-    fn variable(&mut self) -> Result<usize, String> {
+    fn variable(&mut self) -> Result<usize, Malformed> {
         let begin = self.at;
         let mut sum = 0;
         for _ in 0..4 {
@@ -253,7 +263,7 @@ impl<'a> Track<'a> {
     }
 
     /// Reads a length, then that many bytes, and returns the bytes.
-    fn data(&mut self) -> Result<&'a [u8], String> {
+    fn data(&mut self) -> Result<&'a [u8], Malformed> {
         let (begin, length) = (self.at, self.variable()?);
         let data = self.bytes.get(self.at..self.at + length);
         self.at += data.map_or(0, <[u8]>::len);

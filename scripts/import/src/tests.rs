@@ -10,6 +10,7 @@ use downbeat_yaml::node::{self, Node};
 
 mod bvh;
 mod exact_times;
+mod fixture;
 mod fleet_files;
 mod fseq;
 mod joint_states;

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use roxmltree::{Document, Node, ParsingOptions};
 use urrcp::{DeviceId, RobotId};
 
-use downbeat_yaml::finding::{Code, Finding};
+use downbeat_yaml::finding::Code;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
+use super::description::{DescriptionOutcome, block_path};
 use super::fleet_part::FilePart;
 use super::sink::{Sink, Spot};
 use super::yaml::{line, number, one_line, scalar};
@@ -26,19 +27,6 @@ const STEPS: usize = 256;
 /// How far a continuous joint, which has no limits, may turn in each direction, in rad.
 const TURN: f64 = std::f64::consts::TAU;
 
-/// The result of converting a URDF.
-#[derive(Clone, Debug, Default)]
-pub struct UrdfOutcome {
-    /// The initialization block, and a fleet with one robot that has this block and its speed limits. Empty if there are errors.
-    pub files: Vec<FilePart>,
-    /// The number of devices in the block.
-    pub devices: usize,
-    /// Notes about parts of the URDF that are left out, and about values that are assumed.
-    pub notes: Vec<String>,
-    /// The errors in the URDF; empty if it was converted.
-    pub findings: Vec<Finding>,
-}
-
 struct Joint {
     name: String,
     unit: &'static str,
@@ -49,7 +37,7 @@ struct Joint {
 
 /// Properties of joints that are each reported in one note for all joints concerned.
 #[derive(Default)]
-struct Told {
+struct JointRemarks {
     fixed: usize,
     left_out: Vec<String>,
     mimics: Vec<String>,
@@ -61,19 +49,18 @@ struct Told {
 
 /// Converts a URDF to an initialization block. `id` is the id of the robot; if it is `None`, the robot's name in the URDF is used.
 #[must_use]
-pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
+pub fn urdf(source: &Source, id: Option<&str>) -> DescriptionOutcome {
     let mut sink = Sink::default();
     let read = read(source, id, &mut sink);
     let Some((id, joints)) = read.filter(|_| sink.findings.is_empty()) else {
-        return UrdfOutcome { findings: sink.findings, notes: sink.notes, ..UrdfOutcome::default() };
+        return DescriptionOutcome::refused(sink);
     };
-    let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
-    let path = format!("robots/{}.yaml", id.chars().take(48).map(safe).collect::<String>());
+    let path = block_path(&id);
     let files = vec![
         FilePart { path: path.clone(), text: block_text(&id, &source.name, &joints) },
         FilePart { path: "fleet.yaml".into(), text: fleet_text(&id, &path, &joints) },
     ];
-    UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
+    DescriptionOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
 /// Parses a URDF. Adds a finding if the document does not describe a robot or is too large.
@@ -137,7 +124,7 @@ fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, V
 }
 
 fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
-    let mut told = Told::default();
+    let mut told = JointRemarks::default();
     let mut joints = Vec::new();
     let mut seen = std::collections::HashSet::new();
     // Only direct children are joints: transmissions also name joints, one level deeper.
@@ -172,7 +159,12 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
     joints
 }
 
-fn read_joint(node: Node<'_, '_>, told: &mut Told, source: &Source, sink: &mut Sink) -> Option<Joint> {
+fn read_joint(
+    node: Node<'_, '_>,
+    told: &mut JointRemarks,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<Joint> {
     let name = node.attribute("name").unwrap_or("").to_owned();
     if let Err(error) = DeviceId::new(name.as_str()) {
         let message = format!("joint `{}`: {error}", shortened(&name));
@@ -226,7 +218,7 @@ fn range(
     limit: Option<Node<'_, '_>>,
     name: &str,
     kind: &str,
-    told: &mut Told,
+    told: &mut JointRemarks,
     source: &Source,
     sink: &mut Sink,
 ) -> Option<(f64, f64)> {
@@ -320,7 +312,7 @@ fn spot_at(source: &Source, line: usize, column: usize) -> Spot<'_> {
     Spot { line, text, start, width }
 }
 
-impl Told {
+impl JointRemarks {
     fn note(&self, file: &str, sink: &mut Sink) {
         let listed =
             |names: &[String]| downbeat_yaml::finding::names(names.iter().take(20).map(String::as_str));

@@ -14,14 +14,14 @@ use std::collections::{HashMap, HashSet};
 use self::keys::Keys;
 use crate::scope::Scope;
 use crate::slips::{self, Units};
-use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
+use cut::{cut_in_brackets, decimal_comma, numbers_alone};
 use downbeat_motion::exact::{Beginning, Exact};
 use downbeat_motion::music::{Music, NoMusicalLength};
 pub use downbeat_yaml::at::At;
 use downbeat_yaml::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
 use downbeat_yaml::finding::{
-    Affected, Code, Finding, Part, Pending, Place, Severity, SharedFault, did_you_mean_this, names, nearest,
-    one_of,
+    Affected, Code, Finding, PathStep, Pending, Place, Severity, SharedFault, did_you_mean_this, names,
+    nearest, one_of,
 };
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
@@ -75,7 +75,7 @@ pub struct Reader {
     /// The number of names that may still be compared to find hints for misspelt names.
     comparisons: Cell<usize>,
     /// Counts of the errors and of the warnings.
-    told: [Told; 2],
+    told: [SeverityCounts; 2],
     /// Errors that are reported only if there are no other errors. Otherwise another error is their probable cause.
     follow_ups: Vec<Pending>,
     /// The indices of findings that further faults with the same code and cause join.
@@ -86,7 +86,7 @@ pub struct Reader {
 
 /// Counts of the findings of one severity.
 #[derive(Clone, Copy, Default)]
-struct Told {
+struct SeverityCounts {
     count: usize,
     /// The index in [`Reader::found`] of the last finding that is reported.
     last: usize,
@@ -97,7 +97,7 @@ struct Told {
 /// A state of the reader's findings that [`Reader::forget`] can restore.
 pub struct FindingsMark {
     found: usize,
-    told: [Told; 2],
+    told: [SeverityCounts; 2],
     unset: usize,
 }
 
@@ -122,7 +122,7 @@ impl Default for Reader {
             later: HashSet::new(),
             act_of: HashMap::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
-            told: [Told::default(); 2],
+            told: [SeverityCounts::default(); 2],
             follow_ups: Vec::new(),
             alike: HashMap::new(),
             joined: 0,
@@ -412,10 +412,10 @@ impl Reader {
             if index < skipped {
                 continue;
             }
-            if let Some(number) = before.and_then(|before| cut_by_comma(before, key, node)) {
+            if let Some((key, whole)) = before.and_then(|before| decimal_comma(before, key, node)) {
                 let others: Vec<&str> = numbers_alone(&entries[index..]);
                 skipped = index + others.len();
-                self.cut_by_comma(at, number, &others);
+                self.report_decimal_comma(at, key, &whole, &others);
                 continue;
             }
             if open.is_some() || before.is_some_and(|before| cut_in_brackets(before, node).is_some()) {
@@ -476,7 +476,7 @@ impl Reader {
     pub fn is_wrong(&self, part: &str) -> bool {
         let meant = did_you_mean_this(part);
         self.found.iter().any(|found| match (found.code, found.place.path.as_slice()) {
-            (Code::WrongType, [Part::Key(key, _)]) => key == part,
+            (Code::WrongType, [PathStep::Key(key, _)]) => key == part,
             (Code::UnknownKey, [_]) => found.hint.as_ref() == Some(&meant),
             _ => false,
         })

@@ -15,7 +15,7 @@ use crate::clock_time::{parse_instant, parse_time_of_day};
 use crate::scope::Scope;
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::duration::parse_duration;
-use downbeat_yaml::finding::{Part, Place, did_you_mean_this};
+use downbeat_yaml::finding::{PathStep, Place, did_you_mean_this};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
@@ -52,8 +52,8 @@ impl Units {
         let at = place
             .path
             .iter()
-            .rposition(|part| matches!(part, Part::Key(key, _) if key == "tracks" || key == "limits"))?;
-        let Part::Key(device, _) = place.path.get(at + 1)? else { return None };
+            .rposition(|part| matches!(part, PathStep::Key(key, _) if key == "tracks" || key == "limits"))?;
+        let PathStep::Key(device, _) = place.path.get(at + 1)? else { return None };
         Some((device, self.0.get(device)?.as_deref()))
     }
 }
@@ -171,7 +171,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
         Node::Text(text) if expected == "a finite number" && colour(text).is_some() => colour(text)
             .map(|values| format!("if the device takes several values, write a list: `{values:?}`")),
         Node::Number(value) if expected == "true or false" => Some(match place.path.last() {
-            Some(Part::Key(key, _)) if key == "mirror" => format!("write `{{about: {value}}}`"),
+            Some(PathStep::Key(key, _)) if key == "mirror" => format!("write `{{about: {value}}}`"),
             _ => format!("write `{}`", *value != 0.0),
         }),
         Node::Number(value) if expected == "a list of finite numbers" => Some(format!("write `[{value}]`")),
@@ -265,7 +265,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
         }
         Node::Number(_)
             if expected.starts_with("a place in metres")
-                && matches!(place.path.last(), Some(Part::Index(_))) =>
+                && matches!(place.path.last(), Some(PathStep::Index(_))) =>
         {
             Some("put each place in its own brackets: `[[0, 0, 1], [1, 0, 1]]`".to_owned())
         }
@@ -348,7 +348,7 @@ pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
 
 /// Returns a hint to write `true` or `false` instead of a text such as `yes` or `no`, which YAML does not read as a boolean.
 fn truth(text: &str, place: &Place) -> Option<String> {
-    let is_mirror = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "mirror");
+    let is_mirror = matches!(place.path.last(), Some(PathStep::Key(key, _)) if key == "mirror");
     let value = match text.to_lowercase().as_str() {
         "yes" | "on" | "y" | "ja" => true,
         "no" | "off" | "n" | "nein" => false,
@@ -383,7 +383,7 @@ pub fn one_time(place: &Place, node: &Node) -> Option<String> {
         Node::Text(text) => Some(shortened(text)),
         _ => None,
     };
-    let is_of_cue = !place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"));
+    let is_of_cue = !place.path.iter().any(|part| matches!(part, PathStep::Key(key, _) if key == "tracks"));
     match &items[..] {
         [from, to] if is_of_cue => {
             Some(format!("write one time, or a range: `{}..{}`", time(from)?, time(to)?))
@@ -400,8 +400,8 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
         .iter()
         .rev()
         .filter_map(|part| match part {
-            Part::Key(key, _) => Some(key.as_str()),
-            Part::Index(_) => None,
+            PathStep::Key(key, _) => Some(key.as_str()),
+            PathStep::Index(_) => None,
         })
         .collect();
     if is_endless(text) || text == "never" {
@@ -457,7 +457,7 @@ pub fn times(place: &Place, value: f64) -> Option<String> {
 
 /// Whether the place is the value of a key `repeat` or `times`.
 fn is_repeat(place: &Place) -> bool {
-    matches!(place.path.last(), Some(Part::Key(key, _)) if key == "repeat" || key == "times")
+    matches!(place.path.last(), Some(PathStep::Key(key, _)) if key == "repeat" || key == "times")
 }
 
 /// Parses a length such as `3m` or `30cm`, and converts it to metres.
@@ -554,15 +554,15 @@ const STATES: [&str; 12] =
 
 /// Whether the place is the value (`to`) of a keyframe in `tracks`.
 fn is_value(place: &Place) -> bool {
-    matches!(place.path.last(), Some(Part::Key(key, _)) if key == "to")
-        && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
+    matches!(place.path.last(), Some(PathStep::Key(key, _)) if key == "to")
+        && place.path.iter().any(|part| matches!(part, PathStep::Key(key, _) if key == "tracks"))
 }
 
 /// Returns a hint for a list where one number is expected: `radius: [1, 2]`.
 fn one_number(place: &Place, items: &[Node]) -> String {
     let key = place.path.iter().rev().find_map(|part| match part {
-        Part::Key(key, _) => Some(key.as_str()),
-        Part::Index(_) => None,
+        PathStep::Key(key, _) => Some(key.as_str()),
+        PathStep::Index(_) => None,
     });
     let first = items.iter().find_map(|item| match item {
         Node::Number(value) => Some(*value),
@@ -734,7 +734,7 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
     let digits = with_point.trim_end_matches(|c: char| !c.is_ascii_digit()).trim();
     let (value, unit) = (parsed(digits)?, with_point[digits.len()..].trim());
     let (unit, per) = unit.find('/').map_or((unit, ""), |slash| unit.split_at(slash));
-    let is_acceleration = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "acceleration");
+    let is_acceleration = matches!(place.path.last(), Some(PathStep::Key(key, _)) if key == "acceleration");
     let per = if is_acceleration && !per.is_empty() { "/s^2" } else { per };
     if wants("degrees") && matches!(unit, "turn" | "turns") {
         return Some(format!("write `{}`", value * 360.0));

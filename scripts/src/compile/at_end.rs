@@ -39,7 +39,8 @@ pub(super) struct Rests {
 pub(super) fn go_home(
     findings: &mut Reader,
     scenario: &Scenario,
-    (cast, fleet): (&Cast<'_>, &Fleet),
+    cast: &Cast<'_>,
+    fleet: &Fleet,
     acts: &mut Vec<Act>,
     rests: &Rests,
 ) {
@@ -77,7 +78,7 @@ impl Homes<'_> {
     /// Returns the transition from `act`, which leaves devices in the positions `rest`, to an act that moves them home. Adds this act if
     /// no earlier one is suitable. `None` if nothing has to move, or after a finding.
     fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
-        let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
+        let home = Homecoming::from(findings, self.at_end, self.cast, &acts[act].name, rest)?;
         let rule = |act: &Act| (act.on_failure.default, act.on_failure.robots.clone(), act.on_doubt);
         let same =
             |(other, index): &&(Homecoming, usize)| *other == home && rule(&acts[*index]) == rule(&acts[act]);
@@ -150,12 +151,7 @@ struct Homecoming {
 
 impl Homecoming {
     /// Creates the movements home. `None` if nothing has to move, or if the position of a device is unknown.
-    fn from(
-        findings: &mut Reader,
-        at_end: &AtEnd,
-        (cast, act): (&Cast<'_>, &str),
-        rest: &Rest,
-    ) -> Option<Self> {
+    fn from(findings: &mut Reader, at_end: &AtEnd, cast: &Cast<'_>, act: &str, rest: &Rest) -> Option<Self> {
         let mut left: Vec<_> = rest.iter().collect();
         left.sort_unstable_by_key(|(device, _)| **device);
         let (mut devices, mut over, mut needed, mut unknown) = (Vec::new(), OVER_MIN, 0.0_f64, Vec::new());

@@ -67,7 +67,7 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
             unknown.extend(scripts.plays(stage.cast.id(robot)).then_some((robot, None)));
             continue;
         };
-        in_space.bodies.push(rates(findings, stage, &cues, (robot, body), course.peaks));
+        in_space.bodies.push(rates(findings, stage, &cues, robot, body, course.peaks));
         left.extend(course.end.map(|end| (robot, end)));
         let path = Path::of(&course.axes, !stage.positions.is_first());
         if path.known_from() > 0.0 && scripts.plays(stage.cast.id(robot)) {
@@ -86,7 +86,7 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
     let depth = depth(paths.iter().map(|(_, path, _)| path.knots().len()).max().unwrap_or(0));
     let movers: Vec<(usize, Mover)> =
         paths.into_iter().map(|(robot, path, solid)| (robot, Mover::new(path, solid, ends, depth))).collect();
-    volumes(findings, stage, &cues, &movers, (ends, depth));
+    volumes(findings, stage, &cues, &movers, ends, depth);
     in_space.closest = pairs(findings, stage, &cues, &movers);
     (in_space, left)
 }
@@ -190,7 +190,8 @@ fn rates(
     findings: &mut Reader,
     stage: &Stage<'_>,
     cues: &Cues<'_>,
-    (robot, body): (usize, &Body),
+    robot: usize,
+    body: &Body,
     peaks: [Option<Peak>; 2],
 ) -> BodyUse {
     let limits =
@@ -249,7 +250,8 @@ fn volumes(
     stage: &Stage<'_>,
     cues: &Cues<'_>,
     movers: &[(usize, Mover)],
-    (ends, depth): (f64, u32),
+    ends: f64,
+    depth: u32,
 ) {
     let space = &stage.cast.fleet.space;
     for (robot, mover) in movers {

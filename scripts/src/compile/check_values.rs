@@ -6,7 +6,7 @@ use urrcp::{ControlType, Limits, Span};
 
 use super::perform::{Fault, OnDevice, snaps};
 use crate::fields::Reader;
-use crate::finding::{Code, Part, Place};
+use crate::finding::{Code, PathStep, Place};
 use crate::fleet::limits_of;
 use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Change, Changed, Track, Vectors};
@@ -65,18 +65,18 @@ pub(super) fn check(
             let beyond = |limits: &&&Limits| {
                 // A deviation that rounding to the grid corrects is ignored.
                 let may_round =
-                    snaps(on.cue) || !knot.shape.is_written() || Moved::of(&knot, limits).is_dust();
+                    snaps(on.cue) || !knot.shape.is_written() || GridShift::of(&knot, limits).is_dust();
                 let nearest = if may_round { limits.nearest(knot.to) } else { knot.to };
                 !limits.contains(knot.to) && !limits.contains(nearest)
             };
             if let Some(broken) = limits.iter().find(beyond) {
                 if first {
-                    out_of_range(findings, on, control_type, (curve, &knot), broken);
+                    out_of_range(findings, on, control_type, curve, &knot, broken);
                 }
             } else if let Some(broken) =
                 limits.iter().find(|limits| knot.shape.is_written() && !is_settable(limits, knot.to))
             {
-                let moved = Moved::of(&knot, broken);
+                let moved = GridShift::of(&knot, broken);
                 if snaps(on.cue) || moved.is_dust() {
                     if set.is_empty() {
                         set.extend(curve.knots.iter().map(|knot| knot.to));
@@ -110,7 +110,8 @@ fn out_of_range(
     findings: &mut Reader,
     on: &OnDevice<'_>,
     control_type: ControlType,
-    (curve, knot): (&Curve, &Knot),
+    curve: &Curve,
+    knot: &Knot,
     limits: &Limits,
 ) {
     let value = tidy(knot.to);
@@ -149,8 +150,8 @@ fn beyond(limits: &Limits, value: f64) -> f64 {
 /// Returns the name of the parameter if `place` is that of a parameter's argument.
 fn parameter(place: &Place) -> Option<&str> {
     match place.path.last()? {
-        Part::Key(name, _) => Some(name),
-        Part::Index(_) => None,
+        PathStep::Key(name, _) => Some(name),
+        PathStep::Index(_) => None,
     }
 }
 
@@ -206,7 +207,7 @@ fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> 
 
 /// A value, with the nearest value on the device's grid.
 #[derive(Clone, Copy)]
-struct Moved {
+struct GridShift {
     item: u32,
     from: f64,
     to: f64,
@@ -215,7 +216,7 @@ struct Moved {
     allowed: f64,
 }
 
-impl Moved {
+impl GridShift {
     fn of(knot: &Knot, limits: &Limits) -> Self {
         Self {
             item: knot.item,
@@ -255,7 +256,7 @@ impl Moved {
 }
 
 /// Reports a value whose distance from the grid exceeds the permitted error. Returns whether it does.
-fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
+fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: GridShift) -> bool {
     let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
     if moved.off() <= allowed {
         return false;
@@ -272,12 +273,12 @@ fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlTyp
 /// All values of a track that are off the grid, for a single finding.
 #[derive(Default)]
 struct OffGrid {
-    furthest: Option<Moved>,
+    furthest: Option<GridShift>,
     count: usize,
 }
 
 impl OffGrid {
-    fn add(&mut self, moved: Moved) {
+    fn add(&mut self, moved: GridShift) {
         self.count += 1;
         if self.furthest.is_none_or(|furthest| moved.off() > furthest.off()) {
             self.furthest = Some(moved);
@@ -297,7 +298,7 @@ impl OffGrid {
     /// Reports the off-grid values as an error.
     fn refuse(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, limits: &[&Limits]) {
         let Some(furthest) = self.furthest else { return };
-        let Moved { item, from, granularity, .. } = furthest;
+        let GridShift { item, from, granularity, .. } = furthest;
         let around =
             [(from / granularity).floor(), (from / granularity).ceil()].map(|n| tidy(n * granularity));
         let nearest = match around.map(|value| limits.iter().all(|limits| limits.contains(value))) {
@@ -330,7 +331,7 @@ pub(super) fn named(track: &Track, item: u32) -> String {
     match track.item(item) {
         (_, None, _) => String::new(),
         (items, Some(own), place) => match (track.given(item), place.path.as_slice()) {
-            (Some(_), [Part::Key(kind, _), Part::Key(name, _), ..]) if kind == "moves" => {
+            (Some(_), [PathStep::Key(kind, _), PathStep::Key(name, _), ..]) if kind == "moves" => {
                 format!("{} {} of the move `{}`: ", items.one(), own + 1, shortened(name))
             }
             _ => format!("{} {}: ", items.one(), own + 1),

@@ -6,7 +6,7 @@ use downbeat_timing::{Bound, Conflict, ConstraintId, Link};
 use urrcp::Span;
 
 use crate::duration::written;
-use crate::finding::{Code, Part, Pending, Place, names};
+use crate::finding::{Code, PathStep, Pending, Place, names};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
 
 /// Maximum number of bounds that are reported for one chain of contradictory bounds.
@@ -113,7 +113,8 @@ fn circle(
         .map(|(cue, relation)| {
             let edit = edit(
                 &teller.in_its_file(cue, relation),
-                (relation.min, relation.max.filter(|_| relation.min == relation.max)),
+                relation.min,
+                relation.max.filter(|_| relation.min == relation.max),
             );
             format!("`{edit}` of {}", teller.name(cue))
         })
@@ -281,7 +282,7 @@ impl Teller<'_> {
             Bound::Min => (Some(new), relation.max),
             Bound::Max => (relation.min, Some(new)),
         };
-        let edit = edit(&self.in_its_file(cue, relation), (min, max));
+        let edit = edit(&self.in_its_file(cue, relation), min, max);
         let by = written(by);
         if relation.from == Anchor::Origin {
             return match (link.bound, fixed) {
@@ -304,15 +305,15 @@ impl Teller<'_> {
 /// Whether the file states the relation under one of the keys for relations.
 fn is_written(relation: &Relation) -> bool {
     let keys = ["at", "after", "with", "before", "end_by"];
-    let is_key = |part: &Part| matches!(part, Part::Key(key, _) if keys.contains(&key.as_str()));
+    let is_key = |part: &PathStep| matches!(part, PathStep::Key(key, _) if keys.contains(&key.as_str()));
     relation.place.path.iter().rev().take(2).any(is_key)
 }
 
 /// Returns the key and value of a relation with other bounds, as written in a file.
-fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
-    let of_key = |part: &Part| match part {
-        Part::Key(key, _) => Some(key.clone()),
-        Part::Index(_) => None,
+fn edit(relation: &Relation, min: Option<Span>, max: Option<Span>) -> String {
+    let of_key = |part: &PathStep| match part {
+        PathStep::Key(key, _) => Some(key.clone()),
+        PathStep::Index(_) => None,
     };
     let key = relation.place.path.iter().rev().find_map(of_key).unwrap_or_default();
     let range = match (min, max) {

@@ -86,7 +86,7 @@ impl Stage<'_> {
             Some(drive) => {
                 let largest: Vec<f64> = joints.iter().map(Axis::largest).collect();
                 let lever = Solid::of(body, 0.0).lever(&largest);
-                self.driven(scripts, robot, (drive, lever), position(z)?)?
+                self.driven(scripts, robot, drive, lever, position(z)?)?
             }
             None => {
                 let axes = vec![position(x)?, position(y)?, position(z)?, position(yaw)?];
@@ -101,7 +101,8 @@ impl Stage<'_> {
         &self,
         scripts: &Scripts<'_>,
         robot: usize,
-        (drive, lever): (&Drive, f64),
+        drive: &Drive,
+        lever: f64,
         z: Axis,
     ) -> Option<Course> {
         let signals = match &drive.steering {

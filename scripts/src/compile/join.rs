@@ -8,7 +8,7 @@ use super::cast::{Cast, Left, Rest};
 use super::cut::{
     CORRECTED_EVERY, Cutting, REFILL, can_be_refilled, cuts, divided, every, longest_corrected,
 };
-use super::jumps::{First, Moved, Mover, Position};
+use super::jumps::{FinalPositions, First, Mover, Position};
 use super::overlap;
 use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
@@ -27,7 +27,7 @@ pub(super) struct Joined {
     pub(super) devices: Vec<DeviceUse>,
     pub(super) rest: Rest,
     /// Final positions of the moved devices.
-    pub(super) places: Moved,
+    pub(super) places: FinalPositions,
     /// The first segment of each device in the act.
     pub(super) first: Vec<First>,
 }

@@ -216,7 +216,7 @@ fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
 }
 
 /// Final positions of the devices that an act moves, by (robot, device); `None` for a device that is not left at a position.
-pub(super) type Moved = HashMap<(usize, usize), Option<f64>>;
+pub(super) type FinalPositions = HashMap<(usize, usize), Option<f64>>;
 
 /// A possible position of a device when an act begins, and what left the device there.
 #[derive(Clone, Copy, PartialEq)]
@@ -238,14 +238,22 @@ enum LeftBy {
 /// robot, device). The speed limits of the devices determine these factors.
 pub(super) type Factors = HashMap<(usize, usize, usize), f64>;
 
+/// The first movements and the final positions of all acts, in the order of the acts.
+#[derive(Clone, Copy)]
+pub(super) struct Entries<'a> {
+    pub(super) acts: &'a [scenario::Act],
+    pub(super) first: &'a [Vec<First>],
+    pub(super) moved: &'a [FinalPositions],
+}
+
 /// Checks the first movements of each act against the positions after each transition into the act, including returns from a later act.
 pub(super) fn check_entries(
     findings: &mut Reader,
     cast: &Cast<'_>,
-    acts: &[scenario::Act],
     passages: &Passages,
-    (first, moved): (&[Vec<First>], &[Moved]),
+    entries: Entries<'_>,
 ) -> Factors {
+    let Entries { acts, first, moved } = entries;
     let mut factors = Factors::new();
     let mut by_device: HashMap<(usize, usize), Vec<(usize, &Segment)>> = HashMap::new();
     for (act, first) in first.iter().enumerate() {
@@ -296,7 +304,7 @@ const PLACES_MAX: usize = 16;
 fn places(
     device: &Device,
     Passages(passages): &Passages,
-    moved: &[Moved],
+    moved: &[FinalPositions],
     key: (usize, usize),
 ) -> Vec<Vec<Place>> {
     let mut places: Vec<Vec<Place>> = vec![Vec::new(); moved.len()];

@@ -37,7 +37,7 @@ use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
-use crate::identify::mistaken_for_scenario;
+use crate::identify::{Document, mistaken_by_keys};
 use crate::keys::Keys;
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan, Way, compensate};
@@ -67,7 +67,9 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Err(findings) => return Compiled { choreography: None, findings },
     };
     let root = documents.nodes.first();
-    if let Some(mistaken) = root.and_then(|root| mistaken_for_scenario(source, root, ScenarioKeys::NAMES)) {
+    let mistaken =
+        root.and_then(|root| mistaken_by_keys(source, root, Document::Scenario, ScenarioKeys::NAMES));
+    if let Some(mistaken) = mistaken {
         return Compiled { choreography: None, findings: vec![mistaken] };
     }
     let mut reader = Reader::default();
@@ -189,12 +191,12 @@ impl Compiler {
         check_safety::check(&mut self.findings, &scenario, &acts);
         // If the times of an act contradict each other, the final positions of its devices are unknown.
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
-        let known = (first_movements.as_slice(), moved.as_slice());
         let passages = Passages::of(&acts, &cast);
-        let factors = jumps::check_entries(&mut self.findings, &cast, &scenario.acts, &passages, known);
+        let entries = jumps::Entries { acts: &scenario.acts, first: &first_movements, moved: &moved };
+        let factors = jumps::check_entries(&mut self.findings, &cast, &passages, entries);
         limit_entries(&mut acts, &cast, &factors);
         compensate::compensate(&mut acts, fleet);
-        at_end::go_home(&mut self.findings, &scenario, (&cast, fleet), &mut acts, &rests);
+        at_end::go_home(&mut self.findings, &scenario, &cast, fleet, &mut acts, &rests);
         let choreography = Choreography {
             scenario: scenario.name.clone(),
             acts,

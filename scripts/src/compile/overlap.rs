@@ -16,8 +16,9 @@ pub(super) fn of_segments(
 ) -> Option<SharedFault> {
     let place = segment.part.place.clone();
     if segment.start() < before.end() {
-        let (start, end) = ((&*segment.cue, segment.start()), (&*before.cue, before.end()));
-        return Some(overlap(device, robot.clone(), start, end, place));
+        let overlapping =
+            Overlap { cue: &segment.cue, start: segment.start(), before: &before.cue, end: before.end() };
+        return Some(overlapping.fault(device, robot.clone(), place));
     }
     if segment.start() > before.start() {
         return None;
@@ -44,39 +45,43 @@ pub(super) fn of_segments(
     })
 }
 
-/// Returns the fault of a cue that begins to move a device while another cue, or the cue itself, still moves the device.
-pub(super) fn overlap(
-    device: &Device,
-    robot: RobotId,
-    (cue, start): (&str, Span),
-    (before, end): (&str, Span),
-    place: Place,
-) -> SharedFault {
-    let later = end - start;
-    let message = [
-        format!("`{cue}` moves `{}` of ", device.id),
-        format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
-    ];
-    let (expected, hint) = if cue == before {
-        (
-            "one movement of a device at a time".to_owned(),
-            format!("remove one of the two movements, or move one of them to a cue after `{cue}`"),
-        )
-    } else {
-        (
-            format!("a start at {} or later", told(end)),
-            format!("start `{cue}` {} later, for example with `after: {before}`", written(later)),
-        )
-    };
-    SharedFault {
-        code: Code::Overlap,
-        cause: format!("{cue}\n{before}"),
-        size: later.as_millis_f64(),
-        device: device.id.to_string(),
-        robots: [robot].into(),
-        place,
-        message,
-        expected,
-        hint: Some(hint),
+/// A cue that begins to move a device at `start`, while the cue `before`, or the cue itself, moves the device until `end`.
+pub(super) struct Overlap<'a> {
+    pub(super) cue: &'a str,
+    pub(super) start: Span,
+    pub(super) before: &'a str,
+    pub(super) end: Span,
+}
+
+impl Overlap<'_> {
+    pub(super) fn fault(&self, device: &Device, robot: RobotId, place: Place) -> SharedFault {
+        let Self { cue, start, before, end } = *self;
+        let later = end - start;
+        let message = [
+            format!("`{cue}` moves `{}` of ", device.id),
+            format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
+        ];
+        let (expected, hint) = if cue == before {
+            (
+                "one movement of a device at a time".to_owned(),
+                format!("remove one of the two movements, or move one of them to a cue after `{cue}`"),
+            )
+        } else {
+            (
+                format!("a start at {} or later", told(end)),
+                format!("start `{cue}` {} later, for example with `after: {before}`", written(later)),
+            )
+        };
+        SharedFault {
+            code: Code::Overlap,
+            cause: format!("{cue}\n{before}"),
+            size: later.as_millis_f64(),
+            device: device.id.to_string(),
+            robots: [robot].into(),
+            place,
+            message,
+            expected,
+            hint: Some(hint),
+        }
     }
 }

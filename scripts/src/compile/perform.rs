@@ -11,7 +11,7 @@ use urrcp::{ControlParameters, ControlType, Device, Limits, RobotId, Span};
 
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
-use super::segment::{Excess, Part, Segment, Steps};
+use super::segment::{Excess, Segment, Steps, TrackSteps};
 use super::vectors::{self, Thinned};
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
@@ -76,6 +76,17 @@ pub(super) struct OnDevice<'p> {
     ids: OnceCell<Arc<[RobotId]>>,
 }
 
+/// A movement that does not stay within its tolerance with at most `most` steps.
+struct TooFew {
+    most: usize,
+    /// The number of steps that the movement needs; at most `most` if that many steps are possible, but too inaccurate.
+    needed: usize,
+    /// The largest error with `most` steps, and its time.
+    worst: f64,
+    worst_at: Span,
+    allowed: f64,
+}
+
 /// A fault in the movement of a device.
 pub(super) struct Fault {
     pub(super) code: Code,
@@ -91,7 +102,8 @@ pub(super) struct Fault {
 impl<'p> OnDevice<'p> {
     fn new(
         cue: &'p Cue,
-        (track, device): (&'p Track, &'p Device),
+        track: &'p Track,
+        device: &'p Device,
         robots: &'p [usize],
         cast: &'p Cast<'p>,
     ) -> Self {
@@ -225,7 +237,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         for track in &cue.movement_of(first).tracks {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
-                let on = OnDevice::new(cue, (track, class.device), &robots, self.cast);
+                let on = OnDevice::new(cue, track, class.device, &robots, self.cast);
                 let part = if self.uses.is_overdrawn() { None } else { self.part(&on, time.stretch) };
                 let Some(part) = part.filter(|_| self.used(cue, class.members.len())) else {
                     self.incomplete.extend(robots);
@@ -282,7 +294,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         classes
     }
 
-    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<Part> {
+    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<TrackSteps> {
         if self.steps.is_overdrawn() {
             return None;
         }
@@ -312,7 +324,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.check_beginning(on, &actuator, curve);
         curve.knots.first()?;
         let part = self.fitted(on, &actuator, &played, sound)?;
-        Some(Part { factor_max, ..part })
+        Some(TrackSteps { factor_max, ..part })
     }
 
     /// Fits steps to a movement: as few as the tolerance permits or, if the track sets a number of steps, those with the least error.
@@ -323,7 +335,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         actuator: &Actuator<'_>,
         played: &Played<'_>,
         sound: bool,
-    ) -> Option<Part> {
+    ) -> Option<TrackSteps> {
         let own = actuator.tolerance();
         // A movement outside the limits cannot be approximated by steps within them, and finding the best approximation takes long.
         let widened = actuator.limits.map(|limits| Limits { min_value: -FAR, max_value: FAR, ..*limits });
@@ -342,7 +354,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         if let Some(most) = steps_max {
             let allowed = on.track.tolerance.unwrap_or(own);
             if fitted.steps.len() > most || fitted.worst > allowed * (1.0 + 1e-9) {
-                self.too_few_steps(on, most, fitted.steps.len(), (fitted.worst, fitted.worst_at), allowed);
+                let (worst, worst_at) = (fitted.worst, fitted.worst_at);
+                self.too_few_steps(on, TooFew { most, needed: fitted.steps.len(), worst, worst_at, allowed });
             }
         } else if let Some(needed) = fitted.needed.filter(|_| sound) {
             let needed = self.enough(actuator, played, thinned, needed);
@@ -360,7 +373,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 hint: Some(format!("add `tolerance: {needed}` to the track, if this error is acceptable")),
             });
         }
-        Some(Part {
+        Some(TrackSteps {
             control_type: actuator.control_type,
             // That a movement has no first value is already reported.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
@@ -414,17 +427,11 @@ impl<'c, 'a> Performer<'c, 'a> {
         sound
     }
 
-    fn too_few_steps(
-        &mut self,
-        on: &OnDevice<'_>,
-        most: usize,
-        steps: usize,
-        (worst, worst_at): (f64, Span),
-        allowed: f64,
-    ) {
+    fn too_few_steps(&mut self, on: &OnDevice<'_>, fault: TooFew) {
+        let TooFew { most, needed, worst, worst_at, allowed } = fault;
         let place = on.track.place.clone();
-        if steps > most {
-            let message = format!("the movement needs at least {steps} steps");
+        if needed > most {
+            let message = format!("the movement needs at least {needed} steps");
             let hint = Some("allow more steps, or remove keyframes".to_owned());
             self.findings.add(
                 Code::ToleranceTooTight,
@@ -508,7 +515,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         control_type: ControlType,
         vectors: &Vectors,
         stretch: Stretch,
-    ) -> Option<Part> {
+    ) -> Option<TrackSteps> {
         if !matches!(control_type, ControlType::Custom(_))
             && vectors.iter().any(|vector| vector.values.len() > 1)
         {
@@ -525,9 +532,9 @@ impl<'c, 'a> Performer<'c, 'a> {
         let Thinned { steps, worst, worst_at } = vectors::thinned(on, vectors, stretch);
         let (most, allowed) = (on.track.steps_max.map(|most| most as usize), vectors::tolerance(on));
         if let Some(most) = most.filter(|most| steps.len() > *most || worst > allowed) {
-            self.too_few_steps(on, most, steps.len(), (worst, worst_at), allowed);
+            self.too_few_steps(on, TooFew { most, needed: steps.len(), worst, worst_at, allowed });
         }
-        Some(Part {
+        Some(TrackSteps {
             control_type,
             length: steps.last().map_or(Span::ZERO, |last| last.at),
             at_least: steps.len(),

@@ -137,6 +137,19 @@ fn of_acts(findings: &Reader, name: &str) -> Option<String> {
     }
 }
 
+/// The least and the largest time between two events; `None` without such a bound.
+#[derive(Clone, Copy)]
+struct Bounds {
+    min: Option<Span>,
+    max: Option<Span>,
+}
+
+impl Bounds {
+    const fn at_least(min: Span) -> Self {
+        Self { min: Some(min), max: None }
+    }
+}
+
 struct Timetable<'a> {
     act: &'a Act,
     network: Network,
@@ -158,14 +171,8 @@ impl<'a> Timetable<'a> {
         Self { act, network, origins: HashMap::new(), events, by_name }
     }
 
-    fn constrain(
-        &mut self,
-        from: Event,
-        to: Event,
-        (min, max): (Option<Span>, Option<Span>),
-        origin: Origin,
-    ) {
-        let id = self.network.constrain(from, to, min, max);
+    fn constrain(&mut self, from: Event, to: Event, bounds: Bounds, origin: Origin) {
+        let id = self.network.constrain(from, to, bounds.min, bounds.max);
         self.origins.insert(id, origin);
     }
 
@@ -176,7 +183,7 @@ impl<'a> Timetable<'a> {
             Some(bounds) => (bounds.min, bounds.max, &bounds.place),
             None => (members.length, Some(members.length), &cue.place),
         };
-        let bounds = (Some(min + members.delay), max.map(|max| max + members.delay));
+        let bounds = Bounds { min: Some(min + members.delay), max: max.map(|max| max + members.delay) };
         self.constrain(
             start,
             end,
@@ -223,7 +230,7 @@ impl<'a> Timetable<'a> {
                 device,
                 place: bounds.place.clone(),
             };
-            self.constrain(start, end, (Some(needed + members.delay), None), origin);
+            self.constrain(start, end, Bounds::at_least(needed + members.delay), origin);
         }
     }
 
@@ -232,7 +239,7 @@ impl<'a> Timetable<'a> {
         let to = self.event(findings, index, &relation.to, relation);
         if let (Some(from), Some(to)) = (from, to) {
             let origin = Origin::Relation { cue: index, relation: relation.clone() };
-            self.constrain(from, to, (relation.min, relation.max), origin);
+            self.constrain(from, to, Bounds { min: relation.min, max: relation.max }, origin);
         }
     }
 
@@ -362,7 +369,7 @@ impl<'a> Timetable<'a> {
     fn follow(&mut self, first: usize, second: usize, zone: &Shared) {
         let (from, to) = (self.events[first].1, self.events[second].0);
         let origin = Origin::Zone { zone: zone.zone.clone(), first, second, auto: zone.order == Order::Auto };
-        self.constrain(from, to, (Some(Span::ZERO), None), origin);
+        self.constrain(from, to, Bounds::at_least(Span::ZERO), origin);
     }
 
     /// Whether all cues have ended at `horizon`; otherwise reports the first one that has not.

@@ -15,12 +15,12 @@ pub(super) struct Segment {
     pub(super) begin: Span,
     pub(super) cue: Arc<str>,
     pub(super) stop_condition: Option<StopCondition>,
-    pub(super) part: Arc<Part>,
+    pub(super) part: Arc<TrackSteps>,
 }
 
 /// The steps of a track on devices of one kind, shared by all robots of that kind.
 #[derive(Debug)]
-pub(super) struct Part {
+pub(super) struct TrackSteps {
     pub(super) control_type: ControlType,
     pub(super) steps: Steps,
     /// Duration of the movement; the last step may be earlier.
@@ -41,7 +41,7 @@ pub(super) struct Part {
     pub(super) place: Place,
 }
 
-impl Part {
+impl TrackSteps {
     /// Returns a setpoint of the part's control type with these values.
     pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
         let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());

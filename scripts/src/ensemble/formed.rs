@@ -2,19 +2,19 @@
 
 use std::cmp::Ordering;
 
-use super::{Asked, Axis, Dancer, Fault, Form, Ground, LEVEL, Moved, Spare, Target, Thin};
+use super::{Axis, Dancer, DancerMovement, Fault, Form, Ground, GroupTask, LEVEL, Spare, Target, Thin};
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
 use crate::shown::shortened;
-use crate::transit::{self, Refused, Way};
+use crate::transit::{self, Refused, Route};
 
 /// Returns the movement of each robot into a formation.
 pub(super) fn formed(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     form: &Form,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
-) -> Result<Vec<Moved>, Fault> {
+) -> Result<Vec<DancerMovement>, Fault> {
     let (goals, own) = match &form.to {
         Target::Home => (homes(dancers)?, true),
         Target::Formation(name) => {
@@ -41,7 +41,7 @@ pub(super) fn formed(
         .zip(&crossed.errors)
         .map(|(body, error)| if *error < body.error { error / body.error } else { 1.0 });
     let ways = crossed.ways.iter().zip(shares).zip(dancers);
-    Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
+    Ok(ways.map(|((way, share), dancer)| DancerMovement::of_way(way, dancer, share)).collect())
 }
 
 /// Returns the places of a formation; empty if the target is home. If there are fewer places than robots, the cue must set the key
@@ -109,7 +109,7 @@ fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
 }
 
 fn bodies(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     dancers: &[Dancer<'_>],
     goals: &[Point],
     ground: Ground<'_>,
@@ -159,8 +159,8 @@ fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     places
 }
 
-impl Moved {
-    fn of_way(way: &Way, dancer: &Dancer<'_>, error_share: f64) -> Self {
+impl DancerMovement {
+    fn of_way(way: &Route, dancer: &Dancer<'_>, error_share: f64) -> Self {
         let lifts = [0.0, 0.0, 4.0 * way.lift];
         let axes = std::array::from_fn(|axis| {
             let (from, lift) = (way.from[axis], lifts[axis]);

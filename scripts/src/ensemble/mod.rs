@@ -30,13 +30,13 @@ const LEVEL: f64 = 1e-9;
 
 /// What a cue asks of its group: the movement, and the permitted error.
 #[derive(Clone, Copy)]
-pub(crate) struct Asked<'a> {
+pub(crate) struct GroupTask<'a> {
     pub(crate) together: &'a Together,
     /// Permitted error of steps, in units of the devices; `None` if the cue does not set one.
     pub(crate) tolerance: Option<f64>,
 }
 
-impl Asked<'_> {
+impl GroupTask<'_> {
     /// Returns the duration of each robot's movement, in seconds.
     fn seconds(&self) -> f64 {
         self.together.over.as_millis_f64() / 1_000.0
@@ -45,7 +45,7 @@ impl Asked<'_> {
 
 /// The movement of one robot of a group.
 #[derive(Clone, Debug)]
-pub(crate) struct Moved {
+pub(crate) struct DancerMovement {
     /// Start of the movement since the cue's start, in seconds.
     pub(crate) begin: f64,
     pub(crate) length: f64,
@@ -56,7 +56,7 @@ pub(crate) struct Moved {
     pub(crate) error_share: f64,
 }
 
-impl Moved {
+impl DancerMovement {
     /// Returns the robot's place at the end of the movement, in metres.
     pub(crate) fn end(&self) -> Point {
         self.axes.each_ref().map(|swept| Function::Swept(Box::new(swept.clone())).at(1.0))
@@ -117,10 +117,10 @@ pub(crate) enum Fault {
 /// # Errors
 /// Returns the fault that prevents the movements.
 pub(crate) fn ways(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
-) -> Result<Vec<Moved>, Fault> {
+) -> Result<Vec<DancerMovement>, Fault> {
     if dancers.len() > GROUP_MAX {
         return Err(Fault::TooMany);
     }
@@ -145,16 +145,16 @@ pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> 
 #[derive(Clone, Debug)]
 pub(crate) struct Rehearsed {
     from: Vec<(usize, f64, Point)>,
-    ways: Arc<Result<Vec<Moved>, Fault>>,
+    ways: Arc<Result<Vec<DancerMovement>, Fault>>,
 }
 
 impl Rehearsed {
-    pub(crate) fn new(dancers: &[Dancer<'_>], ways: Result<Vec<Moved>, Fault>) -> Self {
+    pub(crate) fn new(dancers: &[Dancer<'_>], ways: Result<Vec<DancerMovement>, Fault>) -> Self {
         Self { from: dancers.iter().map(Dancer::begin).collect(), ways: Arc::new(ways) }
     }
 
     /// Returns the computed movements if `dancers` begin at the places and times for which the movements were computed; `None` otherwise.
-    pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<Moved>, Fault>> {
+    pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<DancerMovement>, Fault>> {
         let same = self.from.iter().copied().eq(dancers.iter().map(Dancer::begin));
         same.then(|| (*self.ways).clone())
     }

@@ -1,17 +1,17 @@
 //! A group that moves as one body: it turns, grows, shifts or follows a path.
 
 use super::along::{Carrier, carrier};
-use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
+use super::{Axis, Dancer, DancerMovement, Fault, Ground, GroupTask, LEVEL, Sweep};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
 
 /// Returns the movement of each robot when the group moves as one body.
 pub(super) fn swept(
-    asked: Asked<'_>,
+    asked: GroupTask<'_>,
     sweep: &Sweep,
     dancers: &[Dancer<'_>],
     ground: Ground<'_>,
-) -> Result<Vec<Moved>, Fault> {
+) -> Result<Vec<DancerMovement>, Fault> {
     let mut center = middle(dancers);
     let carrier = match &sweep.along {
         Some(course) => Some(carrier(course, dancers, ground)?),
@@ -35,11 +35,11 @@ pub(super) fn swept(
         for (swept, carried) in axes.iter_mut().zip(carried) {
             swept.carried = Some(carried);
         }
-        Moved { begin: dancer.delay_seconds(), length, axes, error_share: 1.0 }
+        DancerMovement { begin: dancer.delay_seconds(), length, axes, error_share: 1.0 }
     };
-    let all: Vec<Moved> = dancers.iter().enumerate().map(moved).collect();
+    let all: Vec<DancerMovement> = dancers.iter().enumerate().map(moved).collect();
     let mut last: Option<Rates> = None;
-    let needed = |(moved, dancer): (&Moved, &Dancer<'_>)| {
+    let needed = |(moved, dancer): (&DancerMovement, &Dancer<'_>)| {
         let axes = Rates::axes_of(moved);
         let rates = last.take().filter(|rates| rates.axes == axes).unwrap_or_else(|| Rates::of(axes));
         let needed = Needed::of(&rates, dancer, asked, ground);
@@ -66,7 +66,7 @@ struct Rates {
 }
 
 impl Rates {
-    fn axes_of(moved: &Moved) -> [Swept; 3] {
+    fn axes_of(moved: &DancerMovement) -> [Swept; 3] {
         let mut axes = moved.axes.clone();
         axes.iter_mut().for_each(|swept| swept.line[0] = 0.0);
         axes
@@ -86,11 +86,11 @@ struct Needed {
 }
 
 impl Needed {
-    fn of(rates: &Rates, dancer: &Dancer<'_>, asked: Asked<'_>, ground: Ground<'_>) -> Self {
+    fn of(rates: &Rates, dancer: &Dancer<'_>, asked: GroupTask<'_>, ground: Ground<'_>) -> Self {
         let limits = dancer.limits(ground.fleet);
         let (speed, acceleration) = rates.body;
         let own = rates.own.iter().zip(limits.axes);
-        let own = own.map(|(rates, limits)| time(*rates, limits)).fold(0.0, f64::max);
+        let own = own.map(|(rates, limits)| time(rates.0, rates.1, limits)).fold(0.0, f64::max);
         let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
         // The axes of a body have their steps at different times. Where the body's route bends, the combined mean speed of two
         // overlapping steps exceeds the speed at any moment by about the square root in `stepped`.
@@ -99,9 +99,8 @@ impl Needed {
             |axis: &Axis<'_>| axis.grid().map_or(0.0, |[scale, _, granularity]| scale.abs() * granularity);
         let moving = || dancer.axes.iter().zip(&rates.axes).filter(|(_, swept)| !swept.is_still());
         let off = moving().map(|(axis, _)| grid(axis) * acceleration).sum::<f64>().sqrt() / 2.0;
-        let stepped = (speed + (error * acceleration / 2.0).sqrt() + off, acceleration);
-        let [shortest, sure] =
-            [(speed, acceleration), stepped].map(|whole| time(whole, limits.body).max(own));
+        let stepped = speed + (error * acceleration / 2.0).sqrt() + off;
+        let [shortest, sure] = [speed, stepped].map(|speed| time(speed, acceleration, limits.body).max(own));
         Self { shortest, sure }
     }
 }
@@ -134,7 +133,7 @@ fn left_behind(
 
 /// Returns the shortest duration of a movement within the limits, in seconds. The slope and the curvature are the largest speed and
 /// acceleration of the movement if it lasted 1 s.
-fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
+fn time(slope: f64, curvature: f64, [speed, acceleration]: [f64; 2]) -> f64 {
     (slope / speed).max((curvature / acceleration).sqrt())
 }
 

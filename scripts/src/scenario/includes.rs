@@ -90,13 +90,13 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
 }
 
 /// Sets the parameters of an included file to their defaults, for a plain include, which passes no values.
-pub(super) fn defaults(reader: &mut Reader, parameters: Option<At<'_>>, (name, place): (&str, &Place)) {
-    let used = of_file(name, (0, &Node::Null), place.clone());
+pub(super) fn set_defaults(reader: &mut Reader, parameters: Option<At<'_>>, name: &str, place: &Place) {
+    let used = of_file(name, 0, &Node::Null, place.clone());
     let values = with_defaults(reader, &used, parameters.as_ref(), Vec::new());
     values.into_iter().for_each(|(name, value)| reader.scope.set(name, value));
 }
 
-fn of_file<'a>(name: &str, (file, node): (u16, &'a Node), place: Place) -> Used<'a> {
+fn of_file<'a>(name: &str, file: u16, node: &'a Node, place: Place) -> Used<'a> {
     Used { kind: "file", name: name.to_owned(), part: Shared { file, name: "", node, copy: 0 }, place }
 }
 
@@ -205,7 +205,7 @@ fn copy<'a>(
         check(reader, &at);
     }
     let parameters = keys.parameters;
-    let used = of_file(name, (target, node), item.place());
+    let used = of_file(name, target, node, item.place());
     let arguments = arguments(reader, &used, parameters.as_ref(), given.as_ref());
     let hidden = reader.scope.hide(library.globals);
     let values = with_defaults(reader, &used, parameters.as_ref(), arguments);
@@ -215,7 +215,7 @@ fn copy<'a>(
     library.copies.push(Copy { prefix, values: Vec::new(), used: Some(told.clone()) });
     let copy = library.copies.len() - 1;
     library.register(node, target, copy);
-    library.add_from(reader, &keys.parts(), (target, copy));
+    library.add_from(reader, &keys.parts(), target, copy);
     let mut files = within.files.clone();
     files.push(target);
     copies_in(reader, library, documents, &Within { copy, files, used: Some(&told) });

@@ -25,8 +25,9 @@ use crate::node::{self, Node};
 use crate::scope::Variable;
 use crate::shown::shortened;
 use crate::source::Source;
+use crate::syntax::conceal;
 use crate::tags::foreign_tags;
-use downbeat_reader::keys::Kind;
+use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
 /// Maximum number of files that a scenario may include, directly or indirectly.
@@ -103,9 +104,12 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
             if documents.names.len() > INCLUDES_MAX {
                 continue;
             }
-            let read = files.read(&name).and_then(|source| parse(&source).map(|node| (source, node)));
+            let read = files.read(&name).and_then(|source| match parse(&source) {
+                Ok(node) => Ok((source, node)),
+                Err(finding) => Err(conceal(finding, &source, IncludedKeys::NAMES)),
+            });
             if let Ok((_, node)) = &read
-                && let Some((message, hint)) = not_to_include(node)
+                && let Some((message, hint)) = not_to_include(node, IncludedKeys::NAMES)
             {
                 let mut reader = Reader::default();
                 let expected =
@@ -267,14 +271,14 @@ impl<'a> Library<'a> {
     }
 
     /// Adds the contents of a plain included file.
-    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
+    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, name: &str, place: &Place) {
         let at = At::document(node, file);
         let Some(keys) = reader.keys::<IncludedKeys<'_>>(&at, "an included file") else { return };
         if let Some(at) = keys.include {
             includes::check(reader, &at);
         }
-        includes::defaults(reader, keys.parameters, named);
-        self.add_from(reader, &keys.parts(), (file, 0));
+        includes::set_defaults(reader, keys.parameters, name, place);
+        self.add_from(reader, &keys.parts(), file, 0);
     }
 
     /// Adds the contents of the scenario's own file.
@@ -282,10 +286,10 @@ impl<'a> Library<'a> {
         if let Some(at) = include {
             includes::check(reader, &at);
         }
-        self.add_from(reader, parts, (0, 0));
+        self.add_from(reader, parts, 0, 0);
     }
 
-    pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, (file, copy): (u16, usize)) {
+    pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, file: u16, copy: usize) {
         let Parts { variables, moves, sequences, roles, formations, paths } = *parts;
         if let Some(at) = variables {
             let entries = reader.entries(&at, "a map from each variable to its value");

@@ -37,7 +37,7 @@ use crate::ensemble::{Ground, Rehearsed, Together, WrittenFormation, WrittenPath
 use crate::exact::Exact;
 use crate::fields::{At, Name, Reader, Unset};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Part, Place};
+use crate::finding::{Code, Finding, PathStep, Place};
 use crate::fleet::{Fleet, devices_of};
 use crate::locate::locate;
 use crate::motion::Curve;
@@ -263,7 +263,7 @@ pub(crate) struct Reading {
 impl Reading {
     /// Returns the place of the sensor's name in the file.
     pub(crate) fn key_place(&self) -> Place {
-        let is_sensor = |part: &Part| matches!(part, Part::Key(key, _) if *key == self.sensor);
+        let is_sensor = |part: &PathStep| matches!(part, PathStep::Key(key, _) if *key == self.sensor);
         let path = &self.place.path;
         let end = path.iter().rposition(is_sensor).map_or(path.len(), |sensor| sensor + 1);
         Place { key: true, path: path[..end].to_vec(), ..self.place.clone() }
@@ -294,7 +294,7 @@ impl Track {
         match own {
             u32::MAX => (items, None, list.clone()),
             _ if items == Items::Whole => (items, None, list.clone()),
-            own => (items, Some(own), list.below(Part::Index(own as usize))),
+            own => (items, Some(own), list.below(PathStep::Index(own as usize))),
         }
     }
 
@@ -528,7 +528,7 @@ fn shared<'a>(
     let included = documents.nodes.iter().zip(&documents.names).zip(&documents.plain);
     for (file, ((node, name), place)) in (0u16..).zip(included).skip(1) {
         if let Some(place) = place {
-            library.include(reader, node, file, (name, place));
+            library.include(reader, node, file, name, place);
         }
     }
     library.add(reader, keys.include, &keys.parts());

@@ -314,7 +314,7 @@ fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ => (reader.number(at, "a factor, or {by, about, devices}"), aim(reader, None, None)),
     };
     if let Some(factor) = factor.filter(|_| reader.found.len() == before) {
-        affine(reader, at, tracks, &aim, (Change::Scale, factor));
+        scale_tracks(reader, at, tracks, &aim, Change::Scale, factor);
     }
 }
 
@@ -332,15 +332,16 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     if reader.found.len() > before {
         return;
     }
-    affine(reader, at, tracks, &aim, (Change::Mirror, -1.0));
+    scale_tracks(reader, at, tracks, &aim, Change::Mirror, -1.0);
 }
 
-fn affine(
+fn scale_tracks(
     reader: &mut Reader,
     at: &At<'_>,
     tracks: &mut [Track],
     aim: &Aim,
-    (change, factor): (Change, f64),
+    change: Change,
+    factor: f64,
 ) {
     for device in aim.devices.iter().flatten() {
         if !tracks.iter().any(|track| track.device == device.text) {

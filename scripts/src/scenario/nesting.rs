@@ -188,14 +188,14 @@ fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (Str
 
 /// The kind of a value, as far as it can be recognized from the text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum LiteralKind {
     Number,
     Time,
     Truth,
     Word,
 }
 
-impl Kind {
+impl LiteralKind {
     fn of(node: &Node) -> Option<Self> {
         match node {
             Node::Number(_) => Some(Self::Number),
@@ -232,13 +232,13 @@ fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) 
 
 /// Whether a value has the kind of the parameter's default. Also true if the text of either does not show its kind. Reports a mismatch.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
-    let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
-    if wanted == found || wanted == Kind::Word {
+    let (Some(wanted), Some(found)) = (LiteralKind::of(default), LiteralKind::of(value)) else { return true };
+    if wanted == found || wanted == LiteralKind::Word {
         return true;
     }
     let hint = match (wanted, value) {
-        (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
-        (Kind::Number, Node::Text(_)) if found == Kind::Time => {
+        (LiteralKind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
+        (LiteralKind::Number, Node::Text(_)) if found == LiteralKind::Time => {
             Some("write only the number, without a unit".to_owned())
         }
         (_, Node::Text(word)) if reader.scope.get(word).is_some() => {

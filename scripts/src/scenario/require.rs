@@ -93,7 +93,8 @@ fn bound<'t>(
     reader: &mut Reader,
     at: &At<'_>,
     text: &'t str,
-    (fitting, expected): ([Word; 2], &str),
+    fitting: [Word; 2],
+    expected: &str,
 ) -> Option<(Word, &'t str)> {
     let wrong = match cut(text) {
         Some((word, rest)) if fitting.contains(&word) => return Some((word, rest)),
@@ -120,7 +121,7 @@ fn bound<'t>(
 
 fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
     let text = reader.text(at, SPREAD)?;
-    let (word, rest) = bound(reader, at, &text, ([Word::Below, Word::AtMost], SPREAD))?;
+    let (word, rest) = bound(reader, at, &text, [Word::Below, Word::AtMost], SPREAD)?;
     let Some(span) = duration::parse_duration(rest) else {
         let with_unit = || format!("add the unit: `{} {rest}ms`", word_of(word));
         // The finding's place is that of the whole bound, so the hint contains the word as well.
@@ -152,7 +153,7 @@ fn floor<T: Copy>(
         Node::Number(number) => number.to_string().into(),
         _ => reader.text(at, expected)?,
     };
-    let (word, rest) = bound(reader, at, &text, ([Word::Above, Word::AtLeast], expected))?;
+    let (word, rest) = bound(reader, at, &text, [Word::Above, Word::AtLeast], expected)?;
     match value(rest, word) {
         Ok(value) => Some(if word == Word::Above { Floor::Above(value) } else { Floor::AtLeast(value) }),
         Err((found, hint)) => {

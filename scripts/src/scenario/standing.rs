@@ -7,7 +7,7 @@ use urrcp::ControlType;
 use super::library::Library;
 use super::{Cue, Motion, Track};
 use crate::composed::is_same;
-use crate::ensemble::{self, Asked, Dancer, Rehearsed, Together};
+use crate::ensemble::{self, Dancer, GroupTask, Rehearsed, Together};
 use crate::fields::{Axis, Group, Standing, Whereabouts};
 use crate::fleet::{Fleet, FleetRobot, devices_of};
 use crate::space::Coordinate;
@@ -41,7 +41,7 @@ pub(super) fn leave(group: &mut Group, library: &Library<'_>, cue: &Cue) -> Opti
 
 /// Moves each robot of a group to the end of its movement. If the movement is unknown, the robot's place is unknown afterwards.
 fn rehearse(group: &mut Group, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
-    let asked = Asked { together, tolerance: cue.tolerance };
+    let asked = GroupTask { together, tolerance: cue.tolerance };
     let dancers = dancers(group, library, cue);
     let ways = dancers.as_ref().map(|dancers| ensemble::ways(asked, dancers, library.ground()));
     for robot in &group.robots {

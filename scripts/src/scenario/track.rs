@@ -10,7 +10,7 @@ use super::{Items, Motion, Track, Vector, Vectors, data, formulas, nothing};
 use crate::duration::parse_duration;
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Part};
+use crate::finding::{Code, PathStep};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node, Rows, Width};
 use crate::shown::shortened;
@@ -310,7 +310,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
             depends.extend(value_of(&at_item).and_then(|to| Some((item(index), given(reader, &to)?))));
             let before = knots.last().map(|last| last.at);
             // Wrong order is a single fault.
-            if in_order(reader, at, (Items::Keyframes, index), before, knot.at) {
+            if in_order(reader, at, Items::Keyframes, index, before, knot.at) {
                 knots.push(knot);
             }
         }
@@ -323,7 +323,7 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
     let length = rows.iter().last().map_or(Exact::ZERO, |row| row.at.into());
     let mut before = None;
     let mut checked = |index: usize, at: Span| {
-        in_order(reader, list, (Items::Keyframes, index), before, at);
+        in_order(reader, list, Items::Keyframes, index, before, at);
         before = Some(at);
     };
     let motion = match rows.width() {
@@ -350,12 +350,13 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
 fn in_order(
     reader: &mut Reader,
     list: &At<'_>,
-    (items, index): (Items, usize),
+    items: Items,
+    index: usize,
     before: Option<Span>,
     at: Span,
 ) -> bool {
     if let Some(before) = before.filter(|before| at <= *before) {
-        let place = list.place().below(Part::Index(index)).of_key("at");
+        let place = list.place().below(PathStep::Index(index)).of_key("at");
         let message = format!("the {} at {at} is not later than the previous one at {before}", items.one());
         let hint =
             Some(format!("sort the {}s of a track by time, each later than the previous one", items.one()));
@@ -410,7 +411,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let (Some(time), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
         let at = reader.music.start.lay(time);
         length = time;
-        if in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at) {
+        if in_order(reader, list, Items::Keyframes, index, vectors.last().map(|last| last.at), at) {
             vectors.push(Vector { at, values: &values, item: item(index) });
         }
     }
@@ -431,7 +432,7 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, 
         let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
         // Points out of order are reported and left out of the curve.
-        if in_order(reader, at, (Items::Points, index), before, time) {
+        if in_order(reader, at, Items::Points, index, before, time) {
             knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
             length = exact;
         }
@@ -525,11 +526,11 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     }
     let place = at.place();
     let hint = Some(match place.path.last() {
-        Some(Part::Key(key, _)) if key == "period" => {
+        Some(PathStep::Key(key, _)) if key == "period" => {
             "write the duration of a cycle, as in `period: 2s`; use a keyframe for a constant value"
                 .to_owned()
         }
-        Some(Part::Key(key, _)) => format!("add the duration, as in `{}: 8s`", shortened(key)),
+        Some(PathStep::Key(key, _)) => format!("add the duration, as in `{}: 8s`", shortened(key)),
         _ => "write a duration such as `8s`".to_owned(),
     });
     reader.add(Code::BadMotion, place, "a movement of length 0", "a time above 0", hint);

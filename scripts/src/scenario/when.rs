@@ -227,7 +227,7 @@ fn lag(reader: &mut Reader, at: &At<'_>, text: &str, negated: bool) -> Option<Ga
         return Some((turned(signed(reader, at, text)?), None));
     };
     let (least, largest) = (signed(reader, at, least)?, signed(reader, at, largest)?);
-    let (least, largest) = in_order(reader, at, (least, least), (largest, largest))?;
+    let (least, largest) = in_order(reader, at, least, largest)?;
     Some(match (negated, largest) {
         (true, Some(largest)) => (-largest, Some(-least)),
         _ => (least, largest),
@@ -251,7 +251,7 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
         None => Some((reader.time(at, text)?, None)),
         Some((least, largest)) => {
             let (least, largest) = (reader.time(at, least)?, reader.time(at, largest)?);
-            in_order(reader, at, (least, least), (largest, largest))
+            in_order(reader, at, least, largest)
         }
     }
 }
@@ -290,17 +290,18 @@ fn begin_of_act(text: &str) -> Option<String> {
     }
 }
 
-/// Checks that the first bound is not larger than the second one. Each bound comes with its text for display.
-fn in_order<T: PartialOrd>(
+/// Checks that the first bound is not larger than the second one.
+fn in_order<T: PartialOrd + Copy + Into<Exact>>(
     reader: &mut Reader,
     at: &At<'_>,
-    (least, shown): (T, Span),
-    (largest, largest_shown): (T, Span),
+    least: T,
+    largest: T,
 ) -> Option<(T, Option<T>)> {
     if least <= largest {
         return Some((least, Some(largest)));
     }
-    let message = format!("{} is later than {}", written(shown), written(largest_shown));
+    let shown = |time: T| written(time.into().rounded());
+    let message = format!("{} is later than {}", shown(least), shown(largest));
     reader.add(Code::TimeOrder, at.place(), message, "the earlier time first", None);
     None
 }
@@ -320,7 +321,7 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> 
         Some((least, largest)) => {
             let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
             let (least, largest) = (least?, largest?);
-            in_order(reader, at, (least, least.rounded()), (largest, largest.rounded()))
+            in_order(reader, at, least, largest)
         }
         None => instant(reader, at, &text).map(|time| (time, Some(time))),
     }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::*;
-use crate::finding::Part;
+use crate::finding::PathStep;
 use crate::{Files, Finding, Fleet, Project, Source, compile, read_fleet_within, read_world};
 use downbeat_reader::known::{self, Known};
 
@@ -188,11 +188,11 @@ fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPa
 }
 
 /// Returns the parts of a schema that describe values one step further down than the parts `above`.
-fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<SchemaPart<'s>> {
+fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &PathStep) -> Vec<SchemaPart<'s>> {
     let inner = |(pointer, schema): &SchemaPart<'s>| {
         let (at, inner) = match step {
-            Part::Index(_) => (format!("{pointer}/items"), schema.get("items")?),
-            Part::Key(key, _) => match schema["properties"].get(key) {
+            PathStep::Index(_) => (format!("{pointer}/items"), schema.get("items")?),
+            PathStep::Key(key, _) => match schema["properties"].get(key) {
                 Some(inner) => (format!("{pointer}/properties/{key}"), inner),
                 None => (format!("{pointer}/additionalProperties"), schema.get("additionalProperties")?),
             },

@@ -231,7 +231,7 @@ impl<'a> Shop<'a> {
             return None;
         }
         self.settle(&order, &after, &mut heads, &mut decided);
-        let late = self.upper.iter().map(|arc| beyond(&heads, arc)).sum();
+        let late = self.upper.iter().map(|(from, to, bound)| beyond(&heads, *from, *to, *bound)).sum();
         let last = (0..self.nodes).max_by_key(|node| (heads[*node], *node)).unwrap_or(0);
         let cost = Cost { late, makespan: heads[last] };
         Some(Timed { heads, order, cost, decided, last })
@@ -243,8 +243,8 @@ impl<'a> Shop<'a> {
         let before = (heads.clone(), decided.clone());
         for _ in 0..ROUNDS_MAX {
             let mut kept = true;
-            for arc @ &(from, to, _) in self.upper.iter().filter(|(from, ..)| *from != 0) {
-                let beyond = beyond(heads, arc);
+            for &(from, to, bound) in self.upper.iter().filter(|(from, ..)| *from != 0) {
+                let beyond = beyond(heads, from, to, bound);
                 if beyond > 0 {
                     (heads[from], decided[from], kept) = (heads[from] + beyond, to, false);
                 }
@@ -278,7 +278,7 @@ impl<'a> Shop<'a> {
 }
 
 /// Amount by which the times in `heads` violate an upper bound; 0 if they meet it.
-fn beyond(heads: &[i64], &(from, to, bound): &(usize, usize, i64)) -> i64 {
+fn beyond(heads: &[i64], from: usize, to: usize, bound: i64) -> i64 {
     (heads[to] - heads[from] - bound).max(0)
 }
 

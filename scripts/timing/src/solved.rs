@@ -187,9 +187,9 @@ impl Solved {
                 }
             }
         }
-        for (which, arc) in new.into_iter().enumerate() {
-            self.set_weight(place + which, arc.2);
-            if !self.raise(arc) {
+        for (which, (begin, end, weight)) in new.into_iter().enumerate() {
+            self.set_weight(place + which, weight);
+            if !self.raise(begin, end, weight) {
                 for (which, arc) in old.iter().enumerate() {
                     self.set_weight(place + which, arc.2);
                 }
@@ -218,7 +218,7 @@ impl Solved {
 
     /// Raises the end node of an arc to the time that the arc requires, and everything that depends on it. Returns `false` if that would
     /// raise the arc's start or the origin, because the arc then closes a positive cycle.
-    fn raise(&mut self, (begin, to, weight): (u32, u32, i64)) -> bool {
+    fn raise(&mut self, begin: u32, to: u32, weight: i64) -> bool {
         let asked = self.nodes[begin as usize].time.saturating_add(weight);
         if weight == ABSENT || asked <= self.nodes[to as usize].time {
             return true;

@@ -21,14 +21,22 @@ pub fn check(source: &Source, text: &str) -> Option<Finding> {
         return None;
     }
     // The text may be shorter than the file, so the place is searched in the file itself.
-    let (line, column) = exceeding(&source.text)?;
-    let message = format!("the aliases up to here expand to more than {ALIASED_MAX} values");
+    exceeding(&source.text).map(|place| exceeded(source, Some(place)))
+}
+
+/// Returns the finding for aliases that expand to too many values. `place` is the line (from 1) and the column (from 0) of the alias that
+/// exceeds [`ALIASED_MAX`]; `None` if it is unknown.
+pub fn exceeded(source: &Source, place: Option<(usize, usize)>) -> Finding {
+    let up_to = if place.is_some() { " up to here" } else { "" };
+    let message = format!("the aliases{up_to} expand to more than {ALIASED_MAX} values");
     let hint = Some("write out the values, or define a move and use it in several cues".to_owned());
     let expected = format!("at most {ALIASED_MAX} values from aliases");
     let mut finding = Finding::about_file(Code::TooMuch, &source.name, message, &expected, hint);
-    (finding.line, finding.column, finding.width) = (line, column + 1, 1);
-    finding.source_line = line_of(&source.text, line).chars().take(LINE_CHARS_MAX).collect();
-    Some(finding)
+    if let Some((line, column)) = place {
+        (finding.line, finding.column, finding.width) = (line, column + 1, 1);
+        finding.source_line = line_of(&source.text, line).chars().take(LINE_CHARS_MAX).collect();
+    }
+    finding
 }
 
 /// A list or map that is being read: its anchor, and the number of values in it so far.
@@ -113,6 +121,30 @@ mod tests {
         assert_eq!(found(&text(2)), None);
         let finding = found(&text(26)).unwrap();
         assert_eq!((finding.code, finding.line), (Code::TooMuch, 10_002));
+    }
+
+    #[test]
+    fn aliases_are_limited_in_text_that_parser_of_events_refuses() {
+        // The parser of events demands that the `2` is indented.
+        let list = "1, ".repeat(5_000);
+        for refused in ["x: [1,\n2]\n", "x: \"a\nb\"\n"] {
+            let few = format!("{refused}a: &a [{list}]\nb: [*a, *a]\n");
+            assert_eq!(found(&few), None, "{refused}");
+            let many = format!("{refused}a: &a [{list}]\nb: [{}]\n", "*a, ".repeat(20_000));
+            let finding = found(&many).unwrap();
+            assert_eq!((finding.code, finding.line), (Code::TooMuch, 0), "{refused}");
+            let deep = format!("{many}c: {}", "[".repeat(2_000));
+            assert!(found(&deep).is_some(), "{refused}");
+        }
+    }
+
+    #[test]
+    fn text_without_aliases_has_no_limit_of_values() {
+        for value in ["{a},", "~,", "[],"] {
+            let text = format!("a: [{}]\n", value.repeat(200_000));
+            assert!(found(&text).is_none(), "{value}");
+        }
+        assert!(found(&"?\n".repeat(200_000)).is_none());
     }
 
     #[test]

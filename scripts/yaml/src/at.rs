@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::finding::{Part, Place, Use};
+use crate::finding::{PathStep, Place, Use};
 use crate::node::Node;
 
 /// A node with the path that leads to it.
@@ -58,17 +58,17 @@ impl<'a> At<'a> {
         Place { file, path, key: true, within: None, used: used.cloned() }
     }
 
-    fn path(&self) -> (u16, Option<&'a Arc<Use>>, Vec<Part>) {
+    fn path(&self) -> (u16, Option<&'a Arc<Use>>, Vec<PathStep>) {
         match self.trail {
             Trail::Document(file, used) => (file, used, Vec::new()),
             Trail::Key(parent, key, occurrence) => {
                 let (file, used, mut path) = parent.path();
-                path.push(Part::Key(key.to_owned(), occurrence));
+                path.push(PathStep::Key(key.to_owned(), occurrence));
                 (file, used, path)
             }
             Trail::Index(parent, index) => {
                 let (file, used, mut path) = parent.path();
-                path.push(Part::Index(index));
+                path.push(PathStep::Index(index));
                 (file, used, path)
             }
         }

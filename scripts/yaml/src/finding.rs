@@ -173,7 +173,7 @@ pub struct Finding {
     pub line: usize,
     /// Column in characters, counted from 1.
     pub column: usize,
-    /// The number of characters that the finding concerns.
+    /// The number of characters that the finding concerns. 0 if the line is not shown, because it may be confidential.
     pub width: usize,
     /// A description of the fault. It names the robot, device and step, if the fault concerns them.
     pub message: String,
@@ -263,7 +263,7 @@ pub struct Place {
     /// The number of the file: 0 for the scenario, then one for each include, in reading order.
     pub file: u16,
     /// The keys and indices that lead from the root of the file to the place.
-    pub path: Vec<Part>,
+    pub path: Vec<PathStep>,
     /// Whether the place is the key that leads to the node, instead of the node itself.
     pub key: bool,
     /// The part of the text at this place; `None` for the whole text.
@@ -296,7 +296,7 @@ pub struct Within {
 
 impl Place {
     /// Returns the place of an entry or item of the node at this place.
-    pub fn below(&self, part: Part) -> Self {
+    pub fn below(&self, part: PathStep) -> Self {
         let mut path = self.path.clone();
         path.push(part);
         Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
@@ -304,13 +304,13 @@ impl Place {
 
     /// Returns the place of the value of `key` in the map at this place.
     pub fn of_key(&self, key: &str) -> Self {
-        self.below(Part::Key(key.to_owned(), 0))
+        self.below(PathStep::Key(key.to_owned(), 0))
     }
 }
 
 /// One step on the path from the root of a tree to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum Part {
+pub enum PathStep {
     /// A key of a map, and its number among equal keys in the map, counted from 0.
     Key(String, usize),
     /// The index of an item in a list, counted from 0.

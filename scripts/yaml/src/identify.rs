@@ -85,26 +85,42 @@ pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Fi
     }
 }
 
-/// Like [`mistaken`], for a document that should be a scenario. A map that has none of the given keys, not even misspelt, is not a
-/// scenario.
-pub fn mistaken_for_scenario(source: &Source, document: &Node, keys: &[&'static str]) -> Option<Finding> {
-    let wanted = Document::Scenario;
-    let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
+/// Like [`mistaken`]. Also returns a finding for a list, and for a map that has none of these keys of such a document, not even misspelt:
+/// findings about its own keys would quote a file that may have been named by mistake.
+pub fn mistaken_by_keys(
+    source: &Source,
+    document: &Node,
+    wanted: Document,
+    keys: &[&'static str],
+) -> Option<Finding> {
     mistaken(source, document, wanted).or_else(|| {
-        let Node::Map(entries) = document else { return None };
-        let is_foreign = Document::of(entries).is_none() && !entries.iter().any(|(key, _)| belongs(key));
         let message = || format!("this is not {}", wanted.name());
-        is_foreign.then(|| not_wanted(source, wanted, message(), begin(wanted)))
+        is_foreign(document, keys).then(|| not_wanted(source, wanted, message(), begin(wanted)))
     })
+}
+
+/// Whether a document is a list, or a map with none of these keys, not even misspelt, that is no other document that users write.
+#[must_use]
+pub fn is_foreign(document: &Node, keys: &[&'static str]) -> bool {
+    let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
+    match document {
+        Node::Map(entries) => Document::of(entries).is_none() && !entries.iter().any(|(key, _)| belongs(key)),
+        Node::List(_) => true,
+        _ => false,
+    }
 }
 
 fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) -> Finding {
     Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
-/// Returns the reason why a document cannot be included, and a hint, if it is plain text, a scenario, a fleet, a robot or a world. `None`
-/// if it can be included.
-pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
+/// Returns the reason why a document cannot be included, and a hint, if it is plain text, a scenario, a fleet, a robot, a world, or a map
+/// with none of these keys. `None` if it can be included.
+pub fn not_to_include(document: &Node, keys: &[&'static str]) -> Option<(String, &'static str)> {
+    let is_empty = matches!(document, Node::Map(entries) if entries.is_empty());
+    if !is_empty && is_foreign(document, keys) {
+        return Some(("this file has no keys that scenarios share".to_owned(), "check the path"));
+    }
     let entries = match document {
         Node::Map(entries) => entries,
         // A finding in the file itself would quote the text, which may not be meant for the reader of the finding.

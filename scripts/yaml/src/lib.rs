@@ -5,7 +5,7 @@
 //! | [`node`], [`at`] | the tree; a node with the path that leads to it |
 //! | [`finding`] | a mistake of a user: its code, its place, and how to fix it |
 //! | [`locate`], [`render`], [`sarif`] | lines and columns of findings; findings as text and as SARIF |
-//! | [`source`], [`open`], [`project`], [`files`], [`refusal`] | files, and which of them may be read |
+//! | [`source`], [`open`], [`project`], [`files`], [`home`], [`refusal`] | files, and which of them may be read |
 //! | [`formats`], [`identify`], [`syntax`], [`tags`] | files of other programs, and text that is not YAML |
 //! | [`aliases`], [`budget`], [`composed`] | limits on the expansion of a file; names in Unicode |
 //! | [`duration`], [`shown`] | durations as text; untrusted text, displayed safely |
@@ -19,6 +19,7 @@ mod events;
 pub mod files;
 pub mod finding;
 pub mod formats;
+pub mod home;
 pub mod identify;
 pub mod locate;
 mod nesting;

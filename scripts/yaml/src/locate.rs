@@ -13,7 +13,7 @@ use saphyr_parser::Event;
 
 use crate::composed::composed;
 use crate::events::{Events, Extent};
-use crate::finding::{Finding, Part, Pending, Place, Related, Within};
+use crate::finding::{Finding, PathStep, Pending, Place, Related, Within};
 use crate::render::line_starts;
 use crate::source::Source;
 
@@ -162,8 +162,8 @@ impl LineStarts {
         let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
         let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
         let begin = start + ahead.map(char::len_utf8).sum::<usize>();
-        let wanted = (within.from, within.from + within.width);
-        let Some((from, to)) = offsets(&text[begin..], &within.text, wanted) else { return spot };
+        let end = within.from + within.width;
+        let Some((from, to)) = offsets(&text[begin..], &within.text, within.from, end) else { return spot };
         let (from, to) = (begin + from, begin + to);
         let line = self.0.partition_point(|start| *start <= from);
         let own = self.0.get(line.saturating_sub(1)).copied().unwrap_or(start);
@@ -196,7 +196,7 @@ impl Spot {
 
 /// The paths whose positions are searched, as a tree. Node 0 is the root of the document.
 struct Wanted {
-    children: Vec<HashMap<Part, usize>>,
+    children: Vec<HashMap<PathStep, usize>>,
     parents: Vec<usize>,
     values: Vec<Option<Spot>>,
     keys: Vec<Option<Spot>>,
@@ -233,8 +233,8 @@ impl Wanted {
         for part in &place.path {
             // The encoding of names may differ from that in the file.
             let part = &match part {
-                Part::Key(key, count) => Part::Key(composed(key).into_owned(), *count),
-                Part::Index(index) => Part::Index(*index),
+                PathStep::Key(key, count) => PathStep::Key(composed(key).into_owned(), *count),
+                PathStep::Index(index) => PathStep::Index(*index),
             };
             node = match self.children[node].get(part) {
                 Some(&child) => child,
@@ -316,7 +316,7 @@ impl Wanted {
             (true, Some(child)) => child,
             (false, _) => {
                 frame.index += 1;
-                let part = Part::Index(frame.index - 1);
+                let part = PathStep::Index(frame.index - 1);
                 frame.wanted.and_then(|parent| self.children[parent].get(&part).copied())
             }
         };
@@ -329,7 +329,7 @@ impl Wanted {
     fn child_of_key(&self, parent: usize, seen: &mut HashMap<String, usize>, key: &str) -> Option<usize> {
         let key = composed(key);
         let count = seen.entry(key.to_string()).or_default();
-        let part = Part::Key(key.into_owned(), *count);
+        let part = PathStep::Key(key.into_owned(), *count);
         *count += 1;
         self.children[parent].get(&part).copied()
     }

@@ -1,12 +1,16 @@
 //! A YAML document as a tree. The tree preserves mistakes of the user, such as duplicate keys, wrong types and foreign tags, so that they
 //! can be reported. The library serde_yaml parses the document, and its nesting limit bounds the depth of the tree. The module `rows`
-//! parses long runs of keyframes instead, and `aliases` limits aliases.
+//! parses long runs of keyframes instead. `aliases` limits aliases; the number of values is limited again while the tree is built.
 
 mod rows;
 
+use std::cell::Cell;
 use std::fmt;
 
-use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
+use serde::de::{
+    self, Deserialize, DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess,
+    Visitor,
+};
 
 pub use rows::{EASES, Items, Row, Rows, Width};
 
@@ -87,7 +91,7 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
         return Err(finding);
     }
     let root = condensed.and_then(|condensed| {
-        let root = serde_yaml::from_str(&condensed.text).ok()?;
+        let root = build(&condensed.text).ok()?;
         condensed.restore(root, aliases::ALIASED_MAX)
     });
     root.map_or_else(|| parse_whole(source), Ok)
@@ -96,8 +100,18 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
 /// Returns a finding if brackets are nested so deeply that the YAML library would take a long time to reject them.
 pub fn too_deep(source: &Source) -> Option<Finding> {
     let text = nesting::too_deep(source.text.trim_start_matches(BYTE_ORDER_MARK))?;
-    let error = serde_yaml::from_str::<Node>(text).err()?;
-    error.to_string().contains(RECURSION).then(|| syntax_finding(source, &error))
+    let refused = build(text).err()?;
+    refused.is_nesting().then(|| refused.finding(source))
+}
+
+/// Returns a finding if [`parse`] refuses the text because of its nesting or its aliases. For readers that pass the text to the YAML library
+/// themselves.
+pub fn too_large(source: &Source) -> Option<Finding> {
+    let found = too_deep(source);
+    let is_aliased = || source.text.contains('*');
+    found.or_else(|| {
+        is_aliased().then(|| parse(source).err())?.filter(|finding| finding.code == Code::TooMuch)
+    })
 }
 
 fn empty(source: &Source) -> Finding {
@@ -114,19 +128,63 @@ pub fn parse_whole(source: &Source) -> Result<Node, Finding> {
     if let Some(finding) = aliases::check(source, text) {
         return Err(finding);
     }
-    serde_yaml::from_str(text).map_err(|error| syntax_finding(source, &error))
+    build(text).map_err(|refused| refused.finding(source))
 }
 
-impl<'de> Deserialize<'de> for Node {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(NodeVisitor)
+/// The reason why no tree was built.
+enum Refused {
+    Syntax(serde_yaml::Error),
+    Aliases,
+}
+
+impl Refused {
+    fn is_nesting(&self) -> bool {
+        matches!(self, Self::Syntax(error) if error.to_string().contains(RECURSION))
+    }
+
+    fn finding(&self, source: &Source) -> Finding {
+        match self {
+            Self::Syntax(error) => syntax_finding(source, error),
+            Self::Aliases => aliases::exceeded(source, None),
+        }
     }
 }
 
-struct NodeVisitor;
+/// Builds the tree of a text with the YAML library.
+fn build(text: &str) -> Result<Node, Refused> {
+    // `aliases::check` sees only the part that the stricter parser of events reads. Without aliases, two bytes make at most three values.
+    let left = Cell::new(text.len().saturating_mul(2).saturating_add(aliases::ALIASED_MAX));
+    let read = Value { left: &left }.deserialize(serde_yaml::Deserializer::from_str(text));
+    read.map_err(|error| if left.get() == 0 { Refused::Aliases } else { Refused::Syntax(error) })
+}
+
+/// For formats without aliases, such as JSON: the number of values is not limited.
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Value { left: &Cell::new(usize::MAX) }.deserialize(deserializer)
+    }
+}
+
+/// A value that is read next. `left` is the number of values that may follow.
+#[derive(Clone, Copy)]
+struct Value<'l> {
+    left: &'l Cell<usize>,
+}
+
+impl<'de> DeserializeSeed<'de> for Value<'_> {
+    type Value = Node;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Node, D::Error> {
+        self.left.set(self.left.get().saturating_sub(1));
+        if self.left.get() == 0 {
+            return Err(de::Error::custom("too many values"));
+        }
+        deserializer.deserialize_any(self)
+    }
+}
 
 #[expect(clippy::cast_precision_loss, reason = "all numbers of the language are doubles")]
-impl<'de> Visitor<'de> for NodeVisitor {
+impl<'de> Visitor<'de> for Value<'_> {
     type Value = Node;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -171,7 +229,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Node, A::Error> {
         let mut list = Vec::new();
-        while let Some(node) = seq.next_element()? {
+        while let Some(node) = seq.next_element_seed(self)? {
             list.push(node);
         }
         Ok(Node::List(Items::Nodes(list)))
@@ -179,8 +237,8 @@ impl<'de> Visitor<'de> for NodeVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Node, A::Error> {
         let mut entries = Vec::new();
-        while let Some(Key(key)) = map.next_key()? {
-            entries.push((key, map.next_value()?));
+        while let Some(key) = map.next_key_seed(self)? {
+            entries.push((key_text(key), map.next_value_seed(self)?));
         }
         Ok(Node::Map(entries))
     }
@@ -192,21 +250,17 @@ impl<'de> Visitor<'de> for NodeVisitor {
     }
 }
 
-/// A key of a map, converted to text. A key that is not a scalar becomes a text that is not a valid key of any map.
-struct Key(String);
-
-impl<'de> Deserialize<'de> for Key {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Ok(Self(match Node::deserialize(deserializer)? {
-            Node::Text(text) => text,
-            Node::Number(value) => value.to_string(),
-            Node::Bool(value) => value.to_string(),
-            Node::Null => "null".into(),
-            // `{{ x }}`
-            Node::Map(entries) if matches!(entries.as_slice(), [(_, Node::Null)]) => {
-                format!("{{{}}}", entries[0].0)
-            }
-            other => other.kind(),
-        }))
+/// Converts a key of a map to text. A key that is not a scalar becomes a text that is not a valid key of any map.
+fn key_text(key: Node) -> String {
+    match key {
+        Node::Text(text) => text,
+        Node::Number(value) => value.to_string(),
+        Node::Bool(value) => value.to_string(),
+        Node::Null => "null".into(),
+        // `{{ x }}`
+        Node::Map(entries) if matches!(entries.as_slice(), [(_, Node::Null)]) => {
+            format!("{{{}}}", entries[0].0)
+        }
+        other => other.kind(),
     }
 }

@@ -79,6 +79,10 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
         0 => title
             .element(annotate_snippets::Origin::path(&*file))
             .element(Level::NOTE.message(format!("expected {}", shown(&finding.expected)))),
+        // The line is concealed.
+        line if finding.width == 0 => title
+            .element(annotate_snippets::Origin::path(&*file).line(line).char_column(finding.column))
+            .element(Level::NOTE.message(format!("expected {}", shown(&finding.expected)))),
         _ => {
             let mut group = Group::with_title(title);
             for (number, text, marks) in &lines {

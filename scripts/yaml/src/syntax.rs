@@ -32,6 +32,62 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     finding
 }
 
+/// Removes the text of the file from a finding about its syntax, unless the file has one of these keys at its top level. A file that is
+/// named by mistake may contain passwords, and findings are often published.
+#[must_use]
+pub fn conceal(mut finding: Finding, source: &Source, known: &[&str]) -> Finding {
+    if finding.line == 0 || has_key(&source.text, known) {
+        return finding;
+    }
+    finding.source_line.clear();
+    // The reports show no part of the line.
+    finding.width = 0;
+    // These are the only messages that contain a part of the file.
+    if finding.message.starts_with(DEEPER) {
+        finding.message = format!("{DEEPER} the line above, which already has a value");
+        "the indentation of the line above".clone_into(&mut finding.expected);
+    }
+    let keys = known.iter().take(3).map(|key| format!("`{key}`")).collect::<Vec<_>>().join(", ");
+    finding.hint = Some(format!(
+        "the line is not shown, because the file has none of the expected keys, such as {keys}: check the path"
+    ));
+    finding
+}
+
+/// Whether a text has one of these keys at its top level. The text need not be valid YAML.
+#[must_use]
+pub fn has_key(text: &str, known: &[&str]) -> bool {
+    let text = text.trim_start_matches(BYTE_ORDER_MARK);
+    let is_known = |key: &str| known.contains(&key.trim().trim_matches(['"', '\'']));
+    if text.trim_start().starts_with('{') {
+        return keys_in_braces(text).any(is_known);
+    }
+    // A line that lacks its colon is a mistake in a key as well.
+    let key = |line: &str| line.split([':', '=']).next().is_some_and(is_known);
+    text.lines().filter(|line| !line.starts_with([' ', '\t'])).any(key)
+}
+
+/// Returns the keys of the outermost braces in a text.
+fn keys_in_braces(text: &str) -> impl Iterator<Item = &str> {
+    let (mut depth, mut quote, mut begin) = (0, None, 0);
+    text.char_indices().filter_map(move |(at, c)| {
+        let is_outside = quote.is_none();
+        match c {
+            '"' | '\'' if is_outside => quote = Some(c),
+            c if Some(c) == quote => quote = None,
+            '{' | '[' if is_outside => {
+                depth += 1;
+                begin = at + 1;
+            }
+            '}' | ']' if is_outside => depth -= 1,
+            ',' if is_outside => begin = at + 1,
+            ':' if is_outside && depth == 1 => return text.get(begin..at),
+            _ => {}
+        }
+        None
+    })
+}
+
 /// Adds the message, hint and place to the finding for a file with several documents. The place is the first `---` after other content,
 /// where the second document begins.
 fn several_documents(source: &Source, finding: &mut Finding) {
@@ -187,9 +243,12 @@ fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
     (is_plain && indented(line) > column).then_some((key, column + 1))
 }
 
+/// Beginning of a message that names the key above.
+const DEEPER: &str = "this line is indented deeper than";
+
 fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     let key = shortened(key);
-    finding.message = format!("this line is indented deeper than `{key}`, which already has a value");
+    finding.message = format!("{DEEPER} `{key}`, which already has a value");
     finding.expected = format!("{} before it", crate::render::counted(column - 1, "space"));
     finding.hint = Some(format!("indent it like `{key}`"));
     finding.column = line.len() - line.trim_start().len() + 1;
@@ -282,4 +341,77 @@ fn explain(finding: &mut Finding, whole: &str, text: &str) {
     }
     finding.expected = expected;
     finding.hint = Some(hint);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::node::parse;
+    use crate::render::render;
+
+    const KEYS: [&str; 3] = ["robots", "groups", "id"];
+
+    /// Returns the finding about an invalid text as a user sees it, in all forms.
+    fn shown(text: &str) -> String {
+        let source = Source { name: "x.yaml".to_owned(), text: text.to_owned() };
+        let finding = conceal(parse(&source).unwrap_err(), &source, &KEYS);
+        let json = serde_json::to_string(&finding).unwrap();
+        format!(
+            "{}\n{json}\n{:?}",
+            render(std::slice::from_ref(&finding), false),
+            crate::sarif::sarif(&[finding])
+        )
+    }
+
+    #[test]
+    fn no_part_of_a_foreign_file_is_shown() {
+        for text in [
+            "password: \"hunter2\nuser: anna\n",
+            "password: hunter2: x\n",
+            "user: hunter1\n   password: hunter2\n",
+            "user: hunter1\n  - hunter2: 3\n",
+            "token: *hunter2\n",
+            "token: ${hunter2}: 1\n",
+            "\tpassword: hunter2\n",
+            "password: [hunter1, hunter2\nuser: anna\n",
+            "password: {hunter1 hunter2: 1 hunter3: 2}\n",
+            "hunter2\nuser: anna\n",
+            "password:hunter2\nuser: anna\n",
+            "hunter2: 1\n--- \nhunter3: 2\n",
+            "a: &hunter2 1\n a: @hunter2\n",
+            "{\"hunter1\": {\"id\": 1, \"robots\": \"hunter2}}",
+            "secret:\n  robots: \"hunter2\n",
+            "the robots: are hunter2: and\n",
+            "%hunter2 directive\n",
+        ] {
+            let shown = shown(text);
+            assert!(!shown.contains("hunter"), "{text:?}:\n{shown}");
+            assert!(
+                shown.contains("x.yaml:") && shown.contains("the line is not shown"),
+                "{text:?}:\n{shown}"
+            );
+        }
+    }
+
+    #[test]
+    fn place_of_concealed_line_is_stated() {
+        let shown = shown("user: anna\npassword: \"hunter2\n");
+        assert!(shown.contains("the quotation mark is never closed"), "{shown}");
+        assert!(shown.contains("x.yaml:2:11"), "{shown}");
+    }
+
+    #[test]
+    fn line_of_a_file_with_a_known_key_is_shown() {
+        for text in [
+            "robots: {a: 1\n",
+            "robots\n  a: 1\n",
+            "\"groups\" : \"a\n",
+            "other: 1\nid: a: b\n",
+            "{\"x\": {\"y\": \":\"}, \"id\": 1, \"z\"\n",
+            "{\n  robots: [1\n",
+        ] {
+            let shown = shown(text);
+            assert!(!shown.contains("is not shown"), "{text:?}:\n{shown}");
+        }
+    }
 }

@@ -3,7 +3,6 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -15,7 +14,7 @@ use serde_json::Value;
 use stage::meddler::Wire;
 use stage::operators::{Operators, fails_with};
 use stage::session::{Ran, Session, root};
-use stage::site::{LONG_SCRIPT, Site, listens, on_the_way};
+use stage::site::{LONG_SCRIPT, Site, built, listens, on_the_way, starter};
 use stage::{Process, free_port};
 
 #[test]
@@ -169,17 +168,6 @@ fn simulated_robots_have_secrets_and_expiring_passes_are_reported() {
     session.run(&["keys", "list"]).says(0, &["has a secret"]);
 }
 
-/// Compiles a C program from the folder of the starter (the example robot that users copy). Returns its path.
-fn built(session: &Session, program: &str) -> PathBuf {
-    let from = root().join("robot/starters/c");
-    let built = session.path(program);
-    let mut cc = Command::new(std::env::var("CC").unwrap_or_else(|_| "cc".to_owned()));
-    cc.args(["-std=c99", "-D_POSIX_C_SOURCE=200809L", "-O1", "-o"]).arg(&built);
-    cc.args([&format!("{program}.c"), "json.c", "sealed.c", "sha256.c", "-lm"]).current_dir(from);
-    assert!(cc.status().unwrap().success());
-    built
-}
-
 #[test]
 fn starter_robot_in_c_obeys_only_its_authorized_operators() {
     let session = Session::new();
@@ -188,13 +176,7 @@ fn starter_robot_in_c_obeys_only_its_authorized_operators() {
         session.run(&["keys", "operator", name, "--role", roles]).says(0, &[name]);
     }
     session.run(&["keys", "secret", "arm-2", "other"]).says(0, &[]);
-    let mut robot = Command::new(built(&session, "robot"));
-    robot.args(["--listen", "127.0.0.1:0", "--secret", "keys/secrets/arm-2.secret"]);
-    robot.args(["--revoked", "keys/revoked.serials"]).current_dir(session.path("")).stdout(Stdio::piped());
-    let mut robot = robot.stderr(std::fs::File::create(session.path("err")).unwrap()).spawn().unwrap();
-    let said = listens(&mut robot);
-    let _robot = Process(robot);
-    let address = format!("hmac://{}", said.rsplit(' ').next().unwrap().trim());
+    let (_robot, address) = starter(&session, "hmac", "keys/revoked.serials");
     // The robot itself reports its id.
     let operators = Operators::of(&session, "arm-2", &address, "anna");
     let by = |operator: &str, args: &[&str]| operators.by(operator, args);
@@ -240,7 +222,7 @@ fn starter_robot_in_c_obeys_only_its_authorized_operators() {
 }
 
 /// The authenticated connection of an operator to a robot.
-struct Spoken {
+pub struct Spoken {
     socket: TcpStream,
     sealing: Sealing,
     opening: Opening,
@@ -248,7 +230,7 @@ struct Spoken {
 }
 
 impl Spoken {
-    fn by(session: &Session, operator: &str, robot: &str, address: &str) -> Self {
+    pub fn by(session: &Session, operator: &str, robot: &str, address: &str) -> Self {
         let identity = session.path(&format!("keys/operators/{operator}.pem"));
         let passes = Passes::read(&Passes::next_to(&identity)).unwrap();
         let held = passes.of(&robot.parse().unwrap()).unwrap();
@@ -268,7 +250,7 @@ impl Spoken {
     }
 
     /// Sends a line, and returns the next line from the robot.
-    fn says(&mut self, line: &str) -> String {
+    pub fn says(&mut self, line: &str) -> String {
         let mut records = Vec::new();
         self.sealing.seal(format!("{line}\n").as_bytes(), &mut records);
         self.socket.write_all(&records).unwrap();

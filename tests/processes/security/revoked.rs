@@ -1,12 +1,19 @@
 //! Keys that become invalid while their operators are connected.
 
-use std::time::{Duration, Instant};
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use downbeat_robot::tls::Name;
+use downbeat_runtime::keys::Authority;
 use stage::Process;
-use stage::session::Ran;
-use stage::site::Site;
+use stage::operators::{Operators, fails_with};
+use stage::session::{Ran, Session, root};
+use stage::site::{Site, built, starter};
 use stage::terminal::Terminal;
+use urrcp::Role;
 
+use super::hmac::Spoken;
 use super::seize::anna_plays;
 
 /// Time within which a mission must have ended after its operator's key was revoked. Robots check their lists once per second.
@@ -183,4 +190,238 @@ fn mission_waiting_for_its_operator_ends_when_the_key_is_revoked() {
     watched.shows("your certificate is revoked", ENDED_WITHIN);
     assert_eq!(process.0.wait().unwrap().code(), Some(1), "{}", watched.screen());
     assert_eq!(site.moved(), 0);
+}
+
+#[test]
+fn robot_refuses_an_older_list_when_it_starts() {
+    for (scheme, list) in [("tls", "keys/revoked.pem"), ("hmac", "keys/revoked.serials")] {
+        let site = Site::with(scheme);
+        let session = &site.session;
+        let older = std::fs::read(session.path(list)).unwrap();
+        session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &[]);
+        std::fs::copy(session.path(list), session.path("copy")).unwrap();
+        let number = |path: &str| std::fs::read_to_string(session.path(path)).unwrap().trim().to_owned();
+        drop(site.another(0, "copy"));
+        let used = number("copy.number");
+        session.file("copy", older);
+        let (kind, key) = if scheme == "tls" {
+            ("--identity", "keys/robots/r0.pem")
+        } else {
+            ("--secret", "keys/secrets/r0.secret")
+        };
+        let robot = ["robot", "--init", "arm.yaml", "--id", "r0", "--listen", "127.0.0.1:0", kind, key];
+        let started = || session.run(&[&robot[..], &["--revoked", "copy"]].concat());
+        started()
+            .says(2, &["copy: this is list ", &format!("but list {used} was already in use"), "copy.number"]);
+        assert_eq!(number("copy.number"), used);
+        // The operator has replaced the authority.
+        std::fs::remove_file(session.path("copy.number")).unwrap();
+        drop(site.another(0, "copy"));
+        assert_ne!(number("copy.number"), used);
+    }
+}
+
+/// A robot that users copy, with its own copy of the list of revoked keys. Anna and Bert may drive it.
+struct Starter {
+    session: Session,
+    scheme: &'static str,
+    address: String,
+    _robot: Process,
+}
+
+impl Starter {
+    fn new(scheme: &'static str) -> Self {
+        let session = Session::new();
+        session.run(&["keys", "init"]).says(0, &[]);
+        let (kind, id) = if scheme == "tls" { ("robot", "arm-1") } else { ("secret", "arm-2") };
+        session.run(&["keys", kind, id]).says(0, &[]);
+        for name in ["anna", "bert"] {
+            session.run(&["keys", "operator", name, "--role", "observe,drive"]).says(0, &[]);
+        }
+        let list = if scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
+        std::fs::copy(session.path(list), session.path("list")).unwrap();
+        let (robot, address) = starter(&session, scheme, "list");
+        Self { session, scheme, address, _robot: robot }
+    }
+
+    fn id(&self) -> &'static str {
+        if self.is_tls() { "arm-1" } else { "arm-2" }
+    }
+
+    fn is_tls(&self) -> bool {
+        self.scheme == "tls"
+    }
+
+    /// Returns the description of the robot, its fleet and the missions `long` and `short` for the commands of operators.
+    fn operators(&self) -> Operators<'_> {
+        let operators = Operators::of(&self.session, self.id(), &self.address, "bert");
+        operators.scenario("long", "60s");
+        operators.scenario("short", "400ms");
+        operators
+    }
+
+    /// Returns the list that the authority made last.
+    fn made(&self) -> Vec<u8> {
+        let list = if self.is_tls() { "keys/revoked.pem" } else { "keys/revoked.serials" };
+        std::fs::read(self.session.path(list)).unwrap()
+    }
+
+    /// Replaces the list of the robot.
+    fn give(&self, list: impl AsRef<[u8]>) {
+        self.session.file("next", list);
+        std::fs::rename(self.session.path("next"), self.session.path("list")).unwrap();
+    }
+
+    /// Waits until the robot's log contains `words` this number of times.
+    #[track_caller]
+    fn logs(&self, words: &str, times: usize) {
+        let begun = Instant::now();
+        let logged = || std::fs::read_to_string(self.session.path("err")).unwrap();
+        while logged().matches(words).count() < times {
+            assert!(begun.elapsed() < ENDED_WITHIN, "{}", logged());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert_eq!(logged().matches(words).count(), times, "{}", logged());
+    }
+
+    /// Revokes Anna's key, and gives the robot the new list. Anna keeps a copy of the passes.
+    fn revoke_anna(&self) {
+        let passes = self.session.path("keys/operators/anna.passes");
+        let copy = std::fs::read(&passes);
+        self.session.run(&["keys", "revoke", "--operator", "anna"]).says(0, &["revoked 1"]);
+        if let Ok(copy) = copy {
+            std::fs::write(&passes, copy).unwrap();
+            std::fs::set_permissions(&passes, std::fs::Permissions::from_mode(0o600)).unwrap();
+        }
+        self.give(self.made());
+    }
+}
+
+const REMAINS: &str = "remains in use";
+const NOT_A_LIST: &str = "expected a list that `downbeat keys` wrote";
+
+fn starter_cuts_off(scheme: &'static str) {
+    let robot = Starter::new(scheme);
+    let session = &robot.session;
+    let first = robot.made();
+    let operators = robot.operators();
+    let playing = operators.playing("anna", "long.yaml");
+
+    // Neither a part of a list, nor another file, nor its removal changes the list in use, and each is logged once.
+    robot.give(&first[..first.len() - 3]);
+    robot.logs(REMAINS, 1);
+    robot.give("something else\n");
+    robot.logs(NOT_A_LIST, 2);
+    std::fs::remove_file(session.path("list")).unwrap();
+    robot.logs(REMAINS, 3);
+    operators.by("bert", &["fleet", "ping"]).says(0, &[robot.id()]);
+
+    robot.revoke_anna();
+    fails_with(playing, "forbidden: the operator's key was revoked");
+    robot.logs(REMAINS, 3);
+    operators.by("bert", &["run", "short.yaml"]).says(0, &["short: done"]);
+    let refused = || operators.by("anna", &["run", "short.yaml", "--patience", "2s"]).says(1, &["revoked"]);
+    refused();
+
+    robot.give(first);
+    robot.logs("is smaller than", 1);
+    refused();
+    operators.by("bert", &["run", "short.yaml"]).says(0, &["short: done"]);
+}
+
+#[test]
+fn starter_robot_in_python_cuts_off_revoked_operator_and_keeps_the_last_good_list() {
+    starter_cuts_off("tls");
+}
+
+#[test]
+fn starter_robot_in_c_cuts_off_revoked_operator_and_keeps_the_last_good_list() {
+    starter_cuts_off("hmac");
+}
+
+#[test]
+fn starter_robot_in_python_does_not_use_list_of_another_authority() {
+    let robot = Starter::new("tls");
+    robot.session.run(&["keys", "init", "--keys", "others"]).says(0, &[]);
+    let others = robot.session.path("others/revoked.pem");
+    robot.give(std::fs::read(others).unwrap());
+    robot.logs(NOT_A_LIST, 1);
+    robot.operators().by("bert", &["run", "short.yaml"]).says(0, &["short: done"]);
+}
+
+/// Makes a key for the operator Eva that expires after 12 s, during a mission.
+fn starter_ends_commands_of_expired_key(scheme: &'static str) {
+    let robot = Starter::new(scheme);
+    let operators = robot.operators();
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs().cast_signed();
+    let authority = Authority::open(&robot.session.path("keys")).unwrap();
+    let eva = [Name::Operator("eva".to_owned())].into();
+    let roles = [Role::Observe, Role::Drive].into_iter().collect();
+    authority.issue(&eva, &roles, now - 24 * 3600 + 12, 1).unwrap();
+    drop(authority);
+    let playing = operators.playing("eva", "long.yaml");
+    fails_with(playing, "forbidden: the operator's key has expired");
+    operators.by("bert", &["run", "short.yaml"]).says(0, &["short: done"]);
+}
+
+#[test]
+fn starter_robot_in_python_ends_commands_when_the_key_of_their_operator_expires() {
+    starter_ends_commands_of_expired_key("tls");
+}
+
+#[test]
+fn starter_robot_in_c_ends_commands_when_the_key_of_their_operator_expires() {
+    starter_ends_commands_of_expired_key("hmac");
+}
+
+/// The arm has no session, and its connection has broken: only the key remains.
+#[test]
+fn starter_robot_in_c_halts_where_it_is_when_a_key_without_session_is_revoked() {
+    let robot = Starter::new("hmac");
+    let address = robot.address.trim_start_matches("hmac://");
+    let mut bert = Spoken::by(&robot.session, "bert", "arm-2", address);
+    let mut position = || {
+        let told = bert.says(r#"{"inquiry":{"devices":["shoulder"]}}"#);
+        let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+        told["inquiry_response"]["devices"][0].clone()
+    };
+    let mut anna = Spoken::by(&robot.session, "anna", "arm-2", address);
+    let moves = anna.says(
+        r#"{"control_request":{"device_id":"shoulder","request_id":"a","control_type":"script","control_value":[{"time_offset_to_start":90000,"control_type":"position","control_value":90}]}}"#,
+    );
+    assert!(moves.contains("Accepted"), "{moves}");
+    drop(anna);
+    robot.revoke_anna();
+    let begun = Instant::now();
+    while position()["room"] != 2 {
+        assert!(begun.elapsed() < ENDED_WITHIN, "the command continues");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let halted = position();
+    assert!(halted["position"].as_f64().is_some_and(|at| at > 0.0 && at < 60.0), "{halted}");
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(position(), halted);
+}
+
+#[test]
+fn starter_robots_do_not_start_with_an_unusable_list() {
+    let session = Session::new();
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "arm-1"]).says(0, &[]);
+    session.run(&["keys", "secret", "arm-2"]).says(0, &[]);
+    session.file("bad", "something else\n");
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let in_python = root().join("robot/starters/python/robot.py").to_str().unwrap().to_owned();
+    let in_c = built(&session, "robot").to_str().unwrap().to_owned();
+    for start in [
+        vec![python.as_str(), &in_python, "--identity", "keys/robots/arm-1.pem", "--revoked"],
+        vec![in_c.as_str(), "--secret", "keys/secrets/arm-2.secret", "--revoked"],
+    ] {
+        for (list, words) in [("bad", NOT_A_LIST), ("missing", "No such file")] {
+            let mut robot = Command::new(start[0]);
+            robot.args(&start[1..]).arg(list).env("PYTHONDONTWRITEBYTECODE", "1");
+            let ended = Ran(robot.current_dir(session.path("")).output().unwrap());
+            ended.says(1, &[list, words]);
+        }
+    }
 }

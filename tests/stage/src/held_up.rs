@@ -20,12 +20,28 @@ const REASONS: [(&str, &str); 8] = [
 /// Maximum number of times that a mission is played.
 pub const ATTEMPTS: usize = 5;
 
+/// Words of a report about starts out of tolerance, as text and as JSON. Only in connection with late steps do they indicate a slow machine.
+const OUT_OF_TOLERANCE: [&str; 2] =
+    ["played to the end, but out of tolerance", "\"out_of_tolerance\":{\"spread_ms\""];
+
 /// Returns why this machine was too slow, if the report states such a reason.
 pub fn reason(report: &str) -> Option<&'static str> {
     // Ignores white space, because sentences may be wrapped and JSON may be indented.
     let without_spaces = |text: &str| text.split_whitespace().collect::<String>();
     let report = without_spaces(report);
-    REASONS.iter().find(|(words, _)| report.contains(&without_spaces(words))).map(|(_, reason)| *reason)
+    let has = |words: &str| report.contains(&without_spaces(words));
+    let found = REASONS.iter().find(|(words, _)| has(words)).map(|(_, reason)| *reason);
+    let started_late = || OUT_OF_TOLERANCE.iter().any(|words| has(words)) && has_late_steps(&report);
+    found.or_else(|| {
+        started_late()
+            .then_some("late starts of robots on this machine, which report their first steps as late")
+    })
+}
+
+/// Whether robots have reported late steps. The report contains no white space.
+fn has_late_steps(report: &str) -> bool {
+    let counted = report.split("\"late_steps\":").skip(1).any(|rest| !rest.starts_with('0'));
+    counted || report.contains("morethan1mslate,byatmost")
 }
 
 /// Returns why this machine was too slow to start the mission, if the report states such a reason. In this case nothing has moved.
@@ -96,6 +112,17 @@ fn mission_is_repeated_only_if_the_machine_is_reported_too_slow() {
     assert_eq!(attempts(&[slow; 9]), (ATTEMPTS, slow.to_owned()));
     assert!(reason("{\"outcome\": {\n  \"commitment_late\": {\n    \"by_ms\": 3}}}").is_some());
     assert!(reason("{\"failures\": [{\"robot\": \"r0\", \"failure\": \"silent\"}]}").is_none());
+    let apart = "swap: played to the end, but out of tolerance: robots started 12.4 ms apart or off schedule";
+    assert!(reason(apart).is_none(), "a start that no robot reports as late is a fault");
+    assert!(
+        reason(&format!("{apart}\ncf6: 1 step of `x` more than 1 ms late, by at most 12.4 ms")).is_some()
+    );
+    let json = |late: u32| {
+        format!(
+            "{{\"outcome\": {{\"out_of_tolerance\": {{\"spread_ms\": 12.4}}}}, \"robots\": [{{\"late_steps\": {late}}}]}}"
+        )
+    };
+    assert!(reason(&json(1)).is_some() && reason(&json(0)).is_none());
 }
 
 #[test]

@@ -225,7 +225,7 @@ impl Stage {
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = ended_by_a_hang_up();
         command.args(args).args(session::figures(args)).current_dir(self.folder.path());
-        command.env("DOWNBEAT_STATE", self.path("state"));
+        command.env("DOWNBEAT_STATE", self.path("state")).env("DOWNBEAT_KEYS", "keys");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }

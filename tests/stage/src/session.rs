@@ -75,7 +75,7 @@ impl Session {
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(program());
         command.args(args).args(figures(args)).current_dir(self.folder.path());
-        command.env("DOWNBEAT_STATE", self.path("state"));
+        command.env("DOWNBEAT_STATE", self.path("state")).env("DOWNBEAT_KEYS", "keys");
         command
     }
 

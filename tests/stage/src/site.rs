@@ -1,5 +1,6 @@
 //! A site of three robots with keys, and operators whose certificates permit different actions.
 
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
 use crate::meddler::{Tamperer, Tampering, Wire};
@@ -189,12 +190,37 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
 
 /// Starts the Python starter (an example robot that users copy) with the keys of `arm-1`. Returns its process and its address.
 pub fn python_robot(session: &Session) -> (Process, String) {
-    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let robot = root().join("robot/starters/python/robot.py");
-    let mut command = Command::new(python);
-    command.arg(robot).args(["--identity", "keys/robots/arm-1.pem", "--revoked", "keys/revoked.pem"]);
-    command.env("PYTHONDONTWRITEBYTECODE", "1").current_dir(session.path("")).stdout(Stdio::piped());
+    starter(session, "tls", "keys/revoked.pem")
+}
+
+/// Starts a starter with this list of revoked keys: with `tls`, the one in Python with the keys of `arm-1`; with `hmac`, the one in C with
+/// the secret of `arm-2`. Its log is the file `err`. Returns its process and its address.
+pub fn starter(session: &Session, scheme: &str, list: &str) -> (Process, String) {
+    let mut command = if scheme == "tls" {
+        let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+        let mut command = Command::new(python);
+        command.arg(root().join("robot/starters/python/robot.py")).env("PYTHONDONTWRITEBYTECODE", "1");
+        command.args(["--identity", "keys/robots/arm-1.pem"]);
+        command
+    } else {
+        let mut command = Command::new(built(session, "robot"));
+        command.args(["--secret", "keys/secrets/arm-2.secret"]);
+        command
+    };
+    command.args(["--listen", "127.0.0.1:0", "--revoked", list]).current_dir(session.path(""));
+    command.stdout(Stdio::piped()).stderr(std::fs::File::create(session.path("err")).unwrap());
     let mut child = command.spawn().unwrap();
     let said = listens(&mut child);
-    (Process(child), format!("tls://{}", said.rsplit(' ').next().unwrap().trim()))
+    (Process(child), format!("{scheme}://{}", said.rsplit(' ').next().unwrap().trim()))
+}
+
+/// Compiles a C program from the folder of the starter (the example robot that users copy). Returns its path.
+pub fn built(session: &Session, program: &str) -> PathBuf {
+    let from = root().join("robot/starters/c");
+    let built = session.path(program);
+    let mut cc = Command::new(std::env::var("CC").unwrap_or_else(|_| "cc".to_owned()));
+    cc.args(["-std=c99", "-D_POSIX_C_SOURCE=200809L", "-O1", "-o"]).arg(&built);
+    cc.args([&format!("{program}.c"), "json.c", "sealed.c", "sha256.c", "-lm"]).current_dir(from);
+    assert!(cc.status().unwrap().success());
+    built
 }

@@ -257,9 +257,9 @@ fn silence_ends_with_a_sign_of_life_and_pauses_during_a_reading() {
     mailbox.lock().pulse = Some(pulse);
     mailbox.called(Duration::ZERO, Sign::Unknown);
     assert!(mailbox.silence().is_some());
-    mailbox.reading(true);
+    mailbox.begin_reading();
     assert_eq!(mailbox.silence(), None);
-    mailbox.reading(false);
+    mailbox.end_reading();
     assert!(mailbox.silence().is_some());
     mailbox.called(Duration::ZERO, Sign::Answered);
     assert_eq!(mailbox.silence(), None);

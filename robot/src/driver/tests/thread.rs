@@ -7,19 +7,19 @@ use crate::hardware::ReadingId;
 use crate::tolerance::STALE;
 
 /// Test hardware: the test determines the answer to each call.
-struct Told<F> {
+struct AnsweringDriver<F> {
     answer: F,
     pushes: Option<Pushes>,
     frames: bool,
 }
 
-impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Told<F> {
+impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> AnsweringDriver<F> {
     fn call(&mut self, what: &str) -> Result<(), DriverError> {
         (self.answer)(what, self.pushes.as_ref().unwrap())
     }
 }
 
-impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Driver for Told<F> {
+impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Driver for AnsweringDriver<F> {
     fn connect(&mut self) -> Result<(), DriverError> {
         self.call("connect")
     }
@@ -82,7 +82,7 @@ fn driven_within(
     on: impl Fn(&str, &Mailbox) + Send + 'static,
 ) -> (Result<(), String>, Vec<String>) {
     let (mailbox, (said, news)) = (Arc::new(Mailbox::tolerating(tolerance)), channel());
-    let driver = Box::new(Told { answer, pushes: None, frames });
+    let driver = Box::new(AnsweringDriver { answer, pushes: None, frames });
     let told = Arc::clone(&mailbox);
     let tell = move |news: News| {
         let word = in_words(&news);
@@ -409,7 +409,8 @@ fn unavailable_or_failing_hardware_is_reconnected_ever_less_often() {
 fn unrequested_reading_is_valid_for_the_sensor_delay_or_a_second() {
     let without = BLOCK.replace(r#", "max_delay": 60000"#, "");
     for (block, expected) in [(BLOCK, Duration::from_secs(60)), (&without, Duration::from_secs(1))] {
-        let driver = Box::new(Told { answer: |_: &str, _: &Pushes| Ok(()), pushes: None, frames: false });
+        let driver =
+            Box::new(AnsweringDriver { answer: |_: &str, _: &Pushes| Ok(()), pushes: None, frames: false });
         let (block, options) = (serde_json::from_str(block).unwrap(), DriverOptions::default());
         let worker = Worker::new(driver, block, Arc::default(), options, Box::new(|_| {}));
         assert_eq!(worker.reading_counts_for(&DeviceId::new("eye").unwrap()), expected);

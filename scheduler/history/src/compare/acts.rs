@@ -122,11 +122,12 @@ fn acts(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> Vec<ActDiffer
         .iter()
         .filter_map(|(in_b, in_a)| Some(place(a.0, (*in_a)?)).filter(|_| in_b.is_some()))
         .collect();
+    let side = |act, (choreography, fleet)| Side { act, choreography, fleet };
     let mut moved = out_of_order(&common).into_iter();
     let mut all = Vec::new();
     for (in_b, in_a) in pairs {
         let is_moved = in_a.is_some() && in_b.is_some() && moved.next().unwrap_or_default();
-        let mut found = act(in_a.map(|act| (act, a)), in_b.map(|act| (act, b)));
+        let mut found = act(in_a.map(|act| side(act, a)), in_b.map(|act| side(act, b)));
         if let Some((old, new)) = in_a.zip(in_b).filter(|_| is_moved) {
             found.place = Some(Change { a: place(a.0, old) + 1, b: place(b.0, new) + 1 });
         }
@@ -137,16 +138,22 @@ fn acts(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> Vec<ActDiffer
     all
 }
 
-type Side<'a> = (&'a Act, (&'a Choreography, &'a Fleet));
+/// An act of one of the two plans.
+#[derive(Clone, Copy)]
+struct Side<'a> {
+    act: &'a Act,
+    choreography: &'a Choreography,
+    fleet: &'a Fleet,
+}
 
 fn act(a: Option<Side<'_>>, b: Option<Side<'_>>) -> ActDifferences {
-    let (act_a, act_b) = (a.map(|(act, _)| act), b.map(|(act, _)| act));
+    let (act_a, act_b) = (a.map(|side| side.act), b.map(|side| side.act));
     let cues = |act: Option<&Act>| act.map_or_else(Vec::new, |act| act.cues.clone());
     let robots = |act: Option<&Act>| act.into_iter().flat_map(robots_of).cloned().collect::<Vec<_>>();
     let readings = |act: Option<&Act>| act.map_or_else(Vec::new, |act| act.readings.clone());
     let closest = |act: Option<&Act>| act.and_then(self::closest);
     let bodies = |act: Option<&Act>| act.map_or_else(Vec::new, |act| act.in_space.bodies.clone());
-    let settings = |side: Option<Side<'_>>| side.map(|(act, (choreography, _))| settings(act, choreography));
+    let settings = |side: Option<Side<'_>>| side.map(|side| settings(side.act, side.choreography));
     let (in_a, in_b) = (robots(act_a), robots(act_b));
     let (read_a, read_b) = (readings(act_a), readings(act_b));
     let (empty, no_fleet) = (empty_act(), Fleet::default());
@@ -177,8 +184,8 @@ fn act(a: Option<Side<'_>>, b: Option<Side<'_>>) -> ActDifferences {
     }
 }
 
-fn used<'a>((act, (_, fleet)): Side<'a>) -> Devices<'a> {
-    Devices::of(act, fleet)
+fn used(side: Side<'_>) -> Devices<'_> {
+    Devices::of(side.act, side.fleet)
 }
 
 /// Returns the pair of robots that come closest to each other in an act. Sorts the pair by id, so that it does not depend on the fleet

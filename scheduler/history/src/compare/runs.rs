@@ -101,7 +101,9 @@ pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     let outcome = |history: &History| history.outcome().cloned();
     let (acts_a, acts_b) = (acts(a), acts(b));
     let pairs = matched(&acts_a, &acts_b, |act| (act.name.as_str(), act.before));
-    let acts = pairs.into_iter().map(|(in_a, in_b)| act((a, in_a), (b, in_b), within));
+    let acts = pairs
+        .into_iter()
+        .map(|(in_a, in_b)| act(&Side { history: a, act: in_a }, &Side { history: b, act: in_b }, within));
     let (dropped_a, dropped_b) = (dropped(a), dropped(b));
     let (failures_a, failures_b) = (failures(a), failures(b));
     let mut found = RunDifferences {
@@ -155,9 +157,14 @@ impl Figure {
     }
 }
 
-type Side<'a> = (&'a History, Option<&'a PlayedAct<'a>>);
+/// An act of one of the two missions; `None` if the mission did not play it.
+struct Side<'a> {
+    history: &'a History,
+    act: Option<&'a PlayedAct<'a>>,
+}
 
-fn act<'a>((history_a, a): Side<'a>, (history_b, b): Side<'a>, within: Span) -> RunAct {
+fn act<'a>(side_a: &Side<'a>, side_b: &Side<'a>, within: Span) -> RunAct {
+    let (a, b) = (side_a.act, side_b.act);
     let report = |act: Option<&PlayedAct<'a>>| act.and_then(|act| act.report);
     let (report_a, report_b) = (report(a), report(b));
     let spread = |report: Option<&ActReport>| Some(report?.spread?.as_millis_f64());
@@ -172,7 +179,7 @@ fn act<'a>((history_a, a): Side<'a>, (history_b, b): Side<'a>, within: Span) -> 
         fate: both.and_then(|(a, b)| Change::of(a.fate.clone(), b.fate.clone())),
         spread_ms: both.and_then(|_| Figure::of(spread(report_a), spread(report_b), within)),
         robots: robots.filter(|robot| both.is_some() && !robot.is_empty()).collect(),
-        scripts: both.map_or_else(Vec::new, |(a, b)| scripts((history_a, a), (history_b, b))),
+        scripts: both.map_or_else(Vec::new, |(a, b)| scripts([side_a.history, side_b.history], a, b)),
     }
 }
 
@@ -236,8 +243,9 @@ fn states(row: &ActRobot) -> BTreeMap<String, Vec<DeviceState>> {
 }
 
 fn scripts(
-    (history_a, a): (&History, &PlayedAct<'_>),
-    (history_b, b): (&History, &PlayedAct<'_>),
+    [history_a, history_b]: [&History; 2],
+    a: &PlayedAct<'_>,
+    b: &PlayedAct<'_>,
 ) -> Vec<ScriptDifferences> {
     let mut keys: Vec<&(String, String)> = a.scripts.keys().chain(b.scripts.keys()).collect();
     keys.sort();

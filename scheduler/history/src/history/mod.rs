@@ -52,11 +52,11 @@ pub struct History {
 struct Route {
     robot: usize,
     device: String,
-    kind: Kind,
+    kind: TopicKind,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum TopicKind {
     Request,
     Response,
     Clock,
@@ -424,14 +424,14 @@ impl History {
         };
         let robot = &mut self.robots[*robot];
         match kind {
-            Kind::Request => robot.is_asked(at, &serde_json::from_slice(data)?),
-            Kind::Response => robot.says(at, serde_json::from_slice(data)?),
-            Kind::Clock => {
+            TopicKind::Request => robot.is_asked(at, &serde_json::from_slice(data)?),
+            TopicKind::Response => robot.says(at, serde_json::from_slice(data)?),
+            TopicKind::Clock => {
                 let ClockOffset { offset, delay } = serde_json::from_slice(data)?;
                 robot.clock.push((at, offset.as_millis_f64(), delay.as_millis_f64()));
             }
-            Kind::Planned => robot.plans(device.clone(), at, serde_json::from_slice(data)?),
-            Kind::Reported => {
+            TopicKind::Planned => robot.plans(device.clone(), at, serde_json::from_slice(data)?),
+            TopicKind::Reported => {
                 let reported: ReportedValue = serde_json::from_slice(data)?;
                 robot.reported.entry(device.clone()).or_default().push((at, reported.value));
                 if reported.status == Status::Provide {
@@ -445,11 +445,11 @@ impl History {
     fn route(&mut self, topic: &str) -> Option<Route> {
         let (of_robot, kind) = topic.strip_prefix("/robots/")?.rsplit_once('/')?;
         let (kind, id) = match kind {
-            "requests" => (Kind::Request, of_robot),
-            "responses" => (Kind::Response, of_robot),
-            "clock" => (Kind::Clock, of_robot),
-            "planned" => (Kind::Planned, self.named(of_robot)),
-            "reported" => (Kind::Reported, self.named(of_robot)),
+            "requests" => (TopicKind::Request, of_robot),
+            "responses" => (TopicKind::Response, of_robot),
+            "clock" => (TopicKind::Clock, of_robot),
+            "planned" => (TopicKind::Planned, self.named(of_robot)),
+            "reported" => (TopicKind::Reported, self.named(of_robot)),
             _ => return None,
         };
         let device = of_robot.get(id.len() + 1..).unwrap_or_default().to_owned();
@@ -497,12 +497,12 @@ impl KnownRobot {
     fn says(&mut self, at: Timestamp<Server>, response: Message) {
         match response {
             Message::AvailabilityResponse(answer) => {
-                let times = (answer.receive_timestamp, answer.timestamp);
-                self.answers(Question::Availability, answer.originate_timestamp, times, at);
+                let own = answer.originate_timestamp;
+                self.answers(Question::Availability, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InquiryResponse(answer) => {
-                let times = (answer.receive_timestamp, answer.timestamp);
-                self.answers(Question::Inquiry, answer.originate_timestamp, times, at);
+                let own = answer.originate_timestamp;
+                self.answers(Question::Inquiry, own, answer.receive_timestamp, answer.timestamp, at);
             }
             Message::InitializationBlock(block) => self.init = Some(block),
             _ => {}
@@ -515,7 +515,8 @@ impl KnownRobot {
         &mut self,
         question: Question,
         own: Option<Timestamp<Server>>,
-        (robot_received, robot_sent): (Timestamp<Robot>, Timestamp<Robot>),
+        robot_received: Timestamp<Robot>,
+        robot_sent: Timestamp<Robot>,
         received: Timestamp<Server>,
     ) {
         let Some(own) = own else { return };

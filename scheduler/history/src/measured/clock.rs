@@ -77,7 +77,7 @@ impl ClockMeasured {
     pub(super) fn of(
         exchanges: &[Exchange],
         line: Option<&ClockLine>,
-        told: Told,
+        told: RecordedClock,
         began: Timestamp<Server>,
     ) -> Option<Self> {
         let samples: Vec<ClockSample> = exchanges.iter().map(sample).collect();
@@ -118,13 +118,13 @@ fn sample(exchange: &Exchange) -> ClockSample {
 
 /// Information about a robot's clock from the recorded decisions of a mission.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Told {
+pub(super) struct RecordedClock {
     /// The first nonzero time shift of the robot's scripts; zero if no script was shifted. `None` if the robot received no script.
     shift: Option<Span>,
     start_error: Option<Span>,
 }
 
-impl Told {
+impl RecordedClock {
     pub(super) fn of(history: &History, robot: &RobotId) -> Self {
         let promised = history.promises().flat_map(|(_, promise)| &promise.scripts);
         let shifts: Vec<Span> =

@@ -14,7 +14,7 @@ mod written;
 use serde::Serialize;
 use urrcp::{RobotId, Server, Span, Timestamp};
 
-use self::clock::Told;
+use self::clock::RecordedClock;
 use self::line::ClockLine;
 use crate::history::{Exchange, History, HistorySource, KnownRobot};
 
@@ -127,11 +127,11 @@ impl RobotMeasured {
         let mut exchanges: Vec<Exchange> = robot.exchanges.clone();
         exchanges.sort_by_key(|exchange| (exchange.sent, exchange.received));
         let line = ClockLine::fit(&exchanges);
-        let told = Told::of(history, &robot.id);
+        let told = RecordedClock::of(history, &robot.id);
         Self {
             robot: robot.id.clone(),
             link: LinkMeasured::of(&exchanges, line.as_ref()),
-            breaks: told::breaks(history, &robot.id, bounds),
+            breaks: told::breaks(history, &robot.id, bounds.0, bounds.1),
             clock: ClockMeasured::of(&exchanges, line.as_ref(), told, bounds.0),
         }
     }

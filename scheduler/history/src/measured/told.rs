@@ -48,7 +48,8 @@ pub struct OperatorMeasured {
 pub(super) fn breaks(
     history: &History,
     robot: &RobotId,
-    (began, ended): (Timestamp<Server>, Timestamp<Server>),
+    began: Timestamp<Server>,
+    ended: Timestamp<Server>,
 ) -> Vec<Break> {
     let mut breaks: Vec<Break> = Vec::new();
     for (at, told) in &history.told {

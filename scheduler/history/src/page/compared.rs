@@ -37,7 +37,7 @@ pub(super) fn compared(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>, columns
     let acts = own.acts.iter().enumerate();
     let ghosts = acts.filter_map(|(plan, act)| {
         let before = other.choreography.acts.iter().find(|before| before.name == act.name)?;
-        Some(ghost((plan, act), before, &places, columns))
+        Some(ghost(plan, act, before, &places, columns))
     });
     Compared {
         with: other.name.clone(),
@@ -46,7 +46,7 @@ pub(super) fn compared(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>, columns
     }
 }
 
-fn ghost((plan, act): (usize, &Act), before: &Act, places: &Places, columns: &mut Columns) -> Ghost {
+fn ghost(plan: usize, act: &Act, before: &Act, places: &Places, columns: &mut Columns) -> Ghost {
     let cues = act.cues.iter().enumerate().filter_map(|(cue, own)| {
         let before = before.cues.iter().find(|before| before.name == own.name)?;
         let elsewhere = (before.start, before.end) != (own.start, own.end);

@@ -15,7 +15,7 @@ pub(super) const VERSION: u32 = 1;
 pub(super) struct Mission {
     pub(super) version: u32,
     pub(super) program: &'static str,
-    pub(super) kind: Kind,
+    pub(super) kind: DocumentKind,
     /// The reason why the file of the mission is incomplete; `None` if it is complete.
     pub(super) cut_off: Option<String>,
     pub(super) scenario: String,
@@ -81,7 +81,7 @@ pub(super) struct GhostCue {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Kind {
+pub(super) enum DocumentKind {
     DryRun,
     Recording,
     Journal,

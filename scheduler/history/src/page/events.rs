@@ -6,11 +6,11 @@ use urrcp::{RobotId, Server, Timestamp};
 
 use super::document::MissionEvent;
 use super::planned::Places;
-use super::played::{Epoch, Told};
+use super::played::{Epoch, TimedProgress};
 use crate::history::Happened;
 
 /// Describes the events of a mission from the messages to the operator.
-pub(super) fn of_told(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
+pub(super) fn of_told(told: &[TimedProgress], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
     of_happened(told.iter().map(|(at, told)| (*at, Happened::Told(told))), places, epoch)
 }
 

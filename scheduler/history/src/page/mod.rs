@@ -23,7 +23,7 @@ use flate2::write::GzEncoder;
 use serde::Serialize;
 
 use self::columns::Columns;
-use self::document::{Kind, Mission, VERSION};
+use self::document::{DocumentKind, Mission, VERSION};
 use self::played::Epoch;
 use self::tried::Tried;
 use crate::history::History;
@@ -31,7 +31,7 @@ use downbeat_rehearsal::dry_run;
 use downbeat_rehearsal::trials::Results;
 
 pub use self::compared::{OtherPlan, OtherRun};
-pub use self::played::Told;
+pub use self::played::TimedProgress;
 pub use self::written::{OtherScenario, Written};
 
 /// The page without data.
@@ -55,7 +55,7 @@ pub struct Rehearsed<'a> {
     /// The result of the dry run, with the values that each robot set.
     pub played: &'a dry_run::Played,
     /// The messages to the operator with their times.
-    pub told: &'a [Told],
+    pub told: &'a [TimedProgress],
 }
 
 /// Creates the page of a dry run. The same mission gives the same bytes.
@@ -124,7 +124,7 @@ impl Rehearsed<'_> {
         Mission {
             version: VERSION,
             program: PROGRAM,
-            kind: Kind::DryRun,
+            kind: DocumentKind::DryRun,
             cut_off: None,
             scenario: choreography.scenario.clone(),
             epoch: epoch.0.to_string(),
@@ -140,7 +140,7 @@ impl Rehearsed<'_> {
             findings: planned::findings(findings, outline),
             set: played::set(played, choreography, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
-            clocks: played::clocks(report, &places, (from, to), columns),
+            clocks: played::clocks(report, &places, from, to, columns),
             compared: None,
         }
     }

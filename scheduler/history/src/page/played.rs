@@ -15,7 +15,7 @@ use downbeat_mission::{ActNumber, Progress};
 use downbeat_rehearsal::dry_run::{self, act_of};
 
 /// A message to the operator with its time.
-pub type Told = (Timestamp<Server>, Progress);
+pub type TimedProgress = (Timestamp<Server>, Progress);
 
 /// The instant that corresponds to 0 ms on the page.
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +30,7 @@ impl Epoch {
 
 pub(super) fn acts(
     played: &dry_run::Played,
-    told: &[Told],
+    told: &[TimedProgress],
     choreography: &Choreography,
     places: &Places,
     epoch: Epoch,
@@ -56,7 +56,7 @@ pub(super) fn acts(
             lease: phases.leases_end.map(|at| epoch.millis(at)),
             fate: Fate::of(Some(act)),
             over: over.map(|at| epoch.millis(at)),
-            robots: robots(act, played, told, (places, epoch)),
+            robots: robots(act, played, told, places, epoch),
         });
     }
     acts
@@ -73,7 +73,7 @@ pub(super) struct Phases {
 
 impl Phases {
     /// Collects these instants from the messages to the operator about an act.
-    pub(super) fn of(told: &[Told], name: &str, planned: Timestamp<Server>) -> Self {
+    pub(super) fn of(told: &[TimedProgress], name: &str, planned: Timestamp<Server>) -> Self {
         let decided = told.iter().find_map(|(at, told)| match told {
             Progress::Decided { act, start, no_return, leases_end, .. }
                 if act == name && *start == planned =>
@@ -83,7 +83,7 @@ impl Phases {
             _ => None,
         });
         let Some((decided, no_return, leases_end)) = decided else { return Self::default() };
-        let committed = |(at, told): &&Told| {
+        let committed = |(at, told): &&TimedProgress| {
             *at >= decided && matches!(told, Progress::Committed { act, .. } if act == name)
         };
         Self {
@@ -98,8 +98,9 @@ impl Phases {
 fn robots(
     act: &ActReport,
     played: &dry_run::Played,
-    told: &[Told],
-    (places, epoch): (&Places, Epoch),
+    told: &[TimedProgress],
+    places: &Places,
+    epoch: Epoch,
 ) -> Vec<PlayedRobot> {
     let robot = |of_act: &ActRobot| {
         Some(PlayedRobot {
@@ -119,7 +120,11 @@ fn started(number: ActNumber, log: &[LogEntry]) -> Option<Timestamp<Server>> {
 }
 
 /// When the operator was informed that a robot had ended all its scripts in an act; `None` if that did not happen.
-pub(super) fn finished(told: &[Told], robot: &RobotId, number: ActNumber) -> Option<Timestamp<Server>> {
+pub(super) fn finished(
+    told: &[TimedProgress],
+    robot: &RobotId,
+    number: ActNumber,
+) -> Option<Timestamp<Server>> {
     let of_robot = |told: &Progress| matches!(told, Progress::Finished { robot: of, number: act } if of == robot && *act == number);
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
@@ -187,7 +192,8 @@ pub(super) fn read(
 pub(super) fn clocks(
     report: &Report,
     places: &Places,
-    (from, to): (f64, f64),
+    from: f64,
+    to: f64,
     columns: &mut Columns,
 ) -> Vec<Clock> {
     let always = |value: f64| [(from, value), (to, value)].into_iter().collect::<Points>();

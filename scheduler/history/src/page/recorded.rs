@@ -8,11 +8,12 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
 use super::document::{
-    Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
+    Clock, Device, DeviceSeries, DocumentKind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script,
+    VERSION,
 };
 use super::events;
 use super::planned::{self, Places};
-use super::played::{Epoch, Phases, Told, finished};
+use super::played::{Epoch, Phases, TimedProgress, finished};
 use super::written::Written;
 use crate::history::{Fate, History, HistorySource, KnownRobot, PlannedStep, over};
 use downbeat_rehearsal::dry_run::act_of;
@@ -40,8 +41,8 @@ impl History {
             version: VERSION,
             program: super::PROGRAM,
             kind: match self.source {
-                HistorySource::Journal => Kind::Journal,
-                HistorySource::Recording => Kind::Recording,
+                HistorySource::Journal => DocumentKind::Journal,
+                HistorySource::Recording => DocumentKind::Recording,
             },
             cut_off: self.cut_off.clone(),
             scenario: self.scenario.clone().unwrap_or_default(),
@@ -51,7 +52,7 @@ impl History {
             report: serde_json::to_value(self.report()).ok(),
             sources: written.map(|written| planned::sources(written.outline)).unwrap_or_default(),
             groups: written.map(|written| planned::groups(written.fleet, &places)).unwrap_or_default(),
-            plans: self.plans(written, &sent, &acts, (&places, columns)),
+            plans: self.plans(written, &sent, &acts, &places, columns),
             acts,
             events,
             findings: written
@@ -76,7 +77,7 @@ impl History {
         let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
         let acts: Vec<Played> =
             sent.iter().enumerate().map(|(plan, act)| self.played(act, plan, places, epoch)).collect();
-        self.plans(None, &sent, &acts, (places, columns))
+        self.plans(None, &sent, &acts, places, columns)
     }
 
     /// Returns the robots and devices according to the robots' descriptions, and their indices.
@@ -94,7 +95,8 @@ impl History {
         written: Option<&Written<'_>>,
         sent: &[Sent<'_>],
         acts: &[Played],
-        (places, columns): (&Places, &mut Columns),
+        places: &Places,
+        columns: &mut Columns,
     ) -> Vec<Plan> {
         let mut plans = Vec::with_capacity(sent.len());
         for (act, played) in sent.iter().zip(acts) {
@@ -124,7 +126,7 @@ impl History {
         // The commitment is recorded before it is made, so the actual time takes precedence if it is known.
         let committed = if self.told.is_empty() { self.recorded(committed) } else { phases.committed };
         let over = over(self.happened(), &name, number, timestamp);
-        let robots = robots(act, report, &self.told, (places, epoch));
+        let robots = robots(act, report, &self.told, places, epoch);
         let at = |instant: Option<Timestamp<Server>>| instant.map(|instant| epoch.millis(instant));
         Played {
             name,
@@ -311,8 +313,9 @@ fn lanes_of(robot: &KnownRobot, act: &Sent<'_>, places: &Places, columns: &mut C
 fn robots(
     act: &Sent<'_>,
     report: Option<&ActReport>,
-    told: &[Told],
-    (places, epoch): (&Places, Epoch),
+    told: &[TimedProgress],
+    places: &Places,
+    epoch: Epoch,
 ) -> Vec<PlayedRobot> {
     let robot = |id: &RobotId| {
         let row = report.and_then(|report| report.robots.iter().find(|row| row.robot == *id));

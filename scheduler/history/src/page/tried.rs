@@ -4,7 +4,7 @@
 use serde::Serialize;
 use urrcp::{RobotId, Span};
 
-use super::document::{Kind, VERSION};
+use super::document::{DocumentKind, VERSION};
 use downbeat_mission::requirements::Judged;
 use downbeat_rehearsal::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
 
@@ -17,7 +17,7 @@ const P99S_SHOWN: i64 = 3;
 pub(super) struct Tried<'a> {
     version: u32,
     program: &'static str,
-    kind: Kind,
+    kind: DocumentKind,
     scenario: &'a str,
     world: &'a str,
     trials: usize,
@@ -58,7 +58,7 @@ impl<'a> Tried<'a> {
         Self {
             version: VERSION,
             program: super::PROGRAM,
-            kind: Kind::Trials,
+            kind: DocumentKind::Trials,
             scenario: &results.scenario,
             world: &results.world,
             trials: results.trials,

@@ -127,10 +127,15 @@ impl Act {
             for index in 0..member.scripts().len() {
                 let script = &member.scripts()[index];
                 if script.is_planned() && start + script.plan.start.span() <= now {
-                    member.change(index, |script| script.sent(now));
+                    member.change(index, |script| script.assume_sent(now));
                 }
             }
         }
+    }
+
+    /// Treats a script as sent, because another process may have sent it.
+    pub(crate) fn assume_sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
+        self.members[script.member].change(script.script, |script| script.assume_sent(now));
     }
 
     /// Returns the ids of all requests of the act, each with its robot and its script.

@@ -210,6 +210,26 @@ fn start_without_id_may_belong_to_a_script_only_the_dead_process_sent() {
     }
 }
 
+#[test]
+fn answer_without_id_belongs_to_a_script_that_this_process_sent() {
+    let scripts = [("a", 0, 100), ("a", 200, 100), ("a", 400, 100)];
+    let mut played = Played::begun(begins_with(Tells::Reports, &scripts));
+    let start = played.mission.acts[0].timing().unwrap().start;
+    played.run_until(start + ms(350));
+    // The first two scripts are considered sent. Their acceptance, if any, went to the dead process.
+    let mut resumed = resumed_after(&played, 0).mission;
+    let script = |script| ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
+    resumed.send_script(played.now, script(2));
+    let device = "a".parse().unwrap();
+    let says = (R0, requests::Says::ByItself);
+    let at = start + ms(351);
+    let accepted = super::super::bench::response(&device, None, Status::Accepted, at);
+    assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &accepted), Some(script(2)));
+    let mut late = super::super::bench::response(&device, None, Status::Failed, at);
+    late.error = Some(ControlError::new(ErrorCode::Late, "the start passed 1 ms ago"));
+    assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &late), Some(script(2)));
+}
+
 /// A mission with one act of two robots that takes one second.
 fn of_two_robots() -> Played {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 1_000)]; 2];

@@ -78,6 +78,20 @@ fn certificate_expiring_within_a_month_is_reported_in_days() {
 }
 
 #[test]
+fn certificate_of_a_replaced_authority_is_reported() {
+    let mut mission = asked();
+    mission.robots[R0].introduced = true;
+    let proven =
+        |is_of_replaced_authority| Event::Proven { robot: R0, until: None, is_of_replaced_authority };
+    for (is_replaced, expected) in [(true, true), (false, false)] {
+        let _nothing = mission.handle(at(0), proven(is_replaced));
+        let verdict = verdict(&mission, Check::Identity, 0);
+        let is_reported = matches!(&verdict, Verdict::Warning(text) if text.contains("is being replaced"));
+        assert_eq!(is_reported, expected, "{verdict:?}");
+    }
+}
+
+#[test]
 fn hardware_passes_once_an_asked_robot_has_responded() {
     let mut mission = asked();
     assert_eq!(verdict(&mission, Check::Hardware, 0), Verdict::NotChecked);

@@ -14,7 +14,7 @@ use urrcp::{ContentHash, InitializationBlock, RobotId};
 
 use super::{hash_of, sorted};
 use downbeat_runtime::fleet;
-use downbeat_runtime::journal::Asked;
+use downbeat_runtime::journal::OperatorChoices;
 
 /// The certified plan, and the fleet that the plan was made for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -79,7 +79,7 @@ pub struct CertifiedRobot {
 impl Subject {
     /// Creates the subject from the selected part of a scenario, the robots that this part needs, and the options `asked`.
     #[must_use]
-    pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
+    pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &OperatorChoices) -> Self {
         // Requirements are judged and do not change the plan.
         let Choreography { scenario, acts: played, requirements: _ } = choreography;
         let acts = certified_acts(played, choreography);
@@ -110,7 +110,7 @@ impl Subject {
 
 /// SHA-256 over the scenario's name, the acts and the options: the `plan_hash` of a certificate.
 #[must_use]
-pub fn plan_hash(choreography: &Choreography, asked: &Asked) -> ContentHash {
+pub fn plan_hash(choreography: &Choreography, asked: &OperatorChoices) -> ContentHash {
     let acts = certified_acts(&choreography.acts, choreography);
     hash_of_plan(&choreography.scenario, &acts, &options_of(asked))
 }
@@ -123,8 +123,8 @@ fn certified_acts(acts: &[Act], choreography: &Choreography) -> Vec<CertifiedAct
     acts.iter().map(|act| certified_act(act, choreography)).collect()
 }
 
-fn options_of(asked: &Asked) -> Options {
-    let Asked { act, from, only, speed, approach: _ } = asked.clone();
+fn options_of(asked: &OperatorChoices) -> Options {
+    let OperatorChoices { act, from, only, speed, approach: _ } = asked.clone();
     Options { act, from, only, speed: speed.unwrap_or(1.0) }
 }
 

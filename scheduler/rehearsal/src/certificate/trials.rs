@@ -200,10 +200,11 @@ fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -
 pub fn play(
     choreography: &Choreography,
     fleet: &Fleet,
-    (first_act, seed): (usize, u64),
+    first_act: usize,
+    seed: u64,
     injected: &Injected,
 ) -> Result<Trial, String> {
-    let (report, watched) = rehearse(choreography, fleet, (first_act, seed), injected)?;
+    let (report, watched) = rehearse(choreography, fleet, first_act, seed, injected)?;
     let broken = broken(choreography, injected, &report, &watched);
     let ids = report.robots.iter().map(|row| row.robot.clone());
     let moved = ids.zip(&watched).filter(|(_, watched)| watched.moved()).map(|(id, _)| id).collect();
@@ -220,7 +221,8 @@ pub fn play(
 fn rehearse(
     choreography: &Choreography,
     fleet: &Fleet,
-    (first_act, seed): (usize, u64),
+    first_act: usize,
+    seed: u64,
     injected: &Injected,
 ) -> Result<(Report, Vec<Watched>), String> {
     let robots = fleet::robots_in(fleet, choreography);
@@ -485,7 +487,7 @@ mod tests {
         let all = faults(&choreography);
         assert_eq!(all.len(), 19);
         for fault in &all {
-            let trial = play(&choreography, &fleet, (0, 0), fault).unwrap();
+            let trial = play(&choreography, &fleet, 0, 0, fault).unwrap();
             assert_eq!(trial.broken, Vec::<String>::new(), "{fault:?}");
             let moves = *fault == Injected::None || fault.incident().is_some();
             assert_eq!(trial.moved.len(), if moves { 3 } else { 0 }, "{fault:?}");
@@ -499,7 +501,7 @@ mod tests {
     #[track_caller]
     fn check(injected: &Injected, doctor: fn(&mut Report, &mut Vec<Watched>), says: &str) {
         let (choreography, fleet) = three();
-        let (mut report, mut watched) = rehearse(&choreography, &fleet, (0, 0), injected).unwrap();
+        let (mut report, mut watched) = rehearse(&choreography, &fleet, 0, 0, injected).unwrap();
         assert_eq!(broken(&choreography, injected, &report, &watched), Vec::<String>::new());
         doctor(&mut report, &mut watched);
         let found = broken(&choreography, injected, &report, &watched);
@@ -575,7 +577,7 @@ mod tests {
         let start = Millis::from_span(Span::from_millis(2_000));
         choreography.acts[0].plan.robots[2].scripts = vec![DeviceScript { start, ..script(500) }];
         for injected in faults(&choreography) {
-            let trial = play(&choreography, &fleet, (0, 0), &injected).unwrap();
+            let trial = play(&choreography, &fleet, 0, 0, &injected).unwrap();
             assert_eq!(trial.broken, Vec::<String>::new(), "{injected:?}");
             if let Injected::Dies { robot, .. } = &injected
                 && *robot == id("a")
@@ -585,7 +587,7 @@ mod tests {
         }
         // A robot whose script starts before the fault must have begun.
         let dies = Injected::Dies { robot: id("a"), act: "three".to_owned() };
-        let (report, mut watched) = rehearse(&choreography, &fleet, (0, 0), &dies).unwrap();
+        let (report, mut watched) = rehearse(&choreography, &fleet, 0, 0, &dies).unwrap();
         watched[1].begun.clear();
         let found = broken(&choreography, &dies, &report, &watched);
         assert!(found.iter().any(|sentence| sentence.contains("a started, but b did not")), "{found:?}");
@@ -596,7 +598,7 @@ mod tests {
         let (mut choreography, fleet) = three();
         choreography.acts[0].on_failure.default = OnFailure::Without;
         for injected in faults(&choreography) {
-            let trial = play(&choreography, &fleet, (0, 0), &injected).unwrap();
+            let trial = play(&choreography, &fleet, 0, 0, &injected).unwrap();
             assert_eq!(trial.broken, Vec::<String>::new(), "{injected:?}");
         }
     }

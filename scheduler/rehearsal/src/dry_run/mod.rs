@@ -181,7 +181,7 @@ impl Rehearsal {
         let Self { mut mission, robots, begin, logs, circumstances } = self;
         let operator = VirtualOperator::new(mission.choreography());
         let ids = mission.robot_ids().cloned().collect();
-        let mut world = VirtualWorld::new(robots, ids, begin, (operator, circumstances), logs, audience);
+        let mut world = VirtualWorld::new(robots, ids, begin, operator, circumstances, logs, audience);
         let report = at_once(drive(&mut mission, &mut world));
         // The fallback is for completeness: a virtual scheduler process is never killed.
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));

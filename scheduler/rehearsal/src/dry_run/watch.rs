@@ -68,7 +68,7 @@ impl Rehearsal {
         let ids: Vec<_> = mission.robot_ids().cloned().collect();
         let mut watcher = Watcher(vec![Watched::default(); ids.len()]);
         let mut world =
-            VirtualWorld::new(robots, ids, begin, (operator, circumstances), Logs::Watched, &mut watcher);
+            VirtualWorld::new(robots, ids, begin, operator, circumstances, Logs::Watched, &mut watcher);
         let report = at_once(drive(&mut mission, &mut world));
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();

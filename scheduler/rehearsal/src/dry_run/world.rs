@@ -72,7 +72,8 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         robots: Vec<SimulatedRobot>,
         ids: Vec<RobotId>,
         begin: Timestamp<Server>,
-        (mut operator, circumstances): (VirtualOperator, Circumstances),
+        mut operator: VirtualOperator,
+        circumstances: Circumstances,
         keeps: Logs,
         audience: &'a mut A,
     ) -> Self {

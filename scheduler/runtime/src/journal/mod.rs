@@ -24,7 +24,7 @@ use downbeat_mission::{FixedStarts, Greeting, Record, dated_line, whole_length};
 pub use found::{Found, MissionState, Missions, forget_old, has_begun};
 pub use private::NotPrivate;
 pub use read::{Contents, Records, Unreadable, read, records};
-pub use writer::{News, WAITING_MAX, Writer, append_all};
+pub use writer::{News, QueueError, WAITING_MAX, Writer, append_all};
 
 /// Format version of journals and recordings. A program reads only files of its own version.
 pub const VERSION: u32 = 1;
@@ -54,7 +54,7 @@ pub struct Opened {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
     /// The operator's other choices: acts, robots, speed and approach.
-    pub asked: Asked,
+    pub asked: OperatorChoices,
     /// SHA-256 of the plan, as in certificates. `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
@@ -124,7 +124,7 @@ pub struct OpenedRobot {
 
 /// The operator's changes to the choreography for this mission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Asked {
+pub struct OperatorChoices {
     /// The only act to play. `None` for all acts.
     pub act: Option<String>,
     /// The act to start with. `None` for the first act.
@@ -148,6 +148,11 @@ pub struct JournalError {
     pub error: io::Error,
 }
 
+/// The reason why a journal takes no further records, as a sentence.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct JournalBroken(String);
+
 /// The journal of a running mission.
 #[derive(Debug)]
 pub struct Journal<D = FileDisk> {
@@ -159,7 +164,7 @@ pub struct Journal<D = FileDisk> {
     /// Number of appended durable records that have reached the disk.
     on_disk: u64,
     /// The first write failure. `None` until a write fails; after that, all records are refused.
-    broken: Option<String>,
+    broken: Option<JournalBroken>,
 }
 
 impl Journal {
@@ -236,7 +241,7 @@ impl<D: Disk> Journal<D> {
     ///
     /// # Errors
     /// Returns the reason why the disk refuses the record. After one lost record, all records are refused.
-    pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
+    pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), JournalBroken> {
         self.unless_broken(|disk| dated_line(at, record).and_then(|line| disk.append(&line)))?;
         self.appended += u64::from(record.is_durable());
         Ok(())
@@ -247,7 +252,7 @@ impl<D: Disk> Journal<D> {
     ///
     /// # Errors
     /// Returns the reason why written records may be lost.
-    pub fn sync(&mut self) -> Result<u64, String> {
+    pub fn sync(&mut self) -> Result<u64, JournalBroken> {
         let due = self.on_disk < self.appended;
         self.unless_broken(|disk| if due { disk.sync() } else { Ok(()) })?;
         self.on_disk = self.appended;
@@ -258,7 +263,7 @@ impl<D: Disk> Journal<D> {
     ///
     /// # Errors
     /// Returns the reason why the journal cannot be written again. It then takes no further records.
-    pub fn keep_name(&mut self) -> Result<Name, String> {
+    pub fn keep_name(&mut self) -> Result<Name, JournalBroken> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
         }
@@ -271,7 +276,7 @@ impl<D: Disk> Journal<D> {
         })
     }
 
-    fn unless_broken(&mut self, write: impl FnOnce(&mut D) -> io::Result<()>) -> Result<(), String> {
+    fn unless_broken(&mut self, write: impl FnOnce(&mut D) -> io::Result<()>) -> Result<(), JournalBroken> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
         }
@@ -280,9 +285,10 @@ impl<D: Disk> Journal<D> {
         })
     }
 
-    fn breaks(&mut self, reason: String) -> String {
-        self.broken = Some(reason.clone());
-        reason
+    fn breaks(&mut self, reason: String) -> JournalBroken {
+        let broken = JournalBroken(reason);
+        self.broken = Some(broken.clone());
+        broken
     }
 
     /// Returns all bytes of the journal, for [`ended_acts`](downbeat_mission::ended_acts).

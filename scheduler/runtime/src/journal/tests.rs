@@ -18,7 +18,7 @@ fn opened() -> Opened {
         fleet: "fleet.yaml".into(),
         folder: Some("/show".into()),
         project: None,
-        asked: Asked { speed: Some(0.5), ..Asked::default() },
+        asked: OperatorChoices { speed: Some(0.5), ..OperatorChoices::default() },
         plan_hash: Some(urrcp::Command::ReadSensor.content_hash()),
         fixed: FixedStarts::default(),
         greeting: Greeting::Full,
@@ -572,19 +572,20 @@ fn journal_that_cannot_be_rewritten_accepts_no_records_and_reports_why() {
     let (mut journal, _) = promised(&mission);
     std::fs::write(mission.join("other"), "another file").unwrap();
     std::fs::rename(mission.join("other"), mission.join("journal")).unwrap();
-    let reason = journal.keep_name().unwrap_err();
+    let broken = journal.keep_name().unwrap_err();
+    let reason = broken.to_string();
     assert!(
         reason.contains("removed or replaced") && reason.contains("another file is in its place"),
         "{reason}"
     );
     assert_eq!(std::fs::read(mission.join("journal")).unwrap(), b"another file");
-    assert_eq!(journal.append(at(3), &prepared(1)), Err(reason));
+    assert_eq!(journal.append(at(3), &prepared(1)), Err(broken));
     drop(journal);
     std::fs::remove_dir_all(&state).unwrap();
     let (mut journal, _) = promised(&mission);
     std::fs::remove_dir_all(&state).unwrap();
     std::fs::write(&state, "a file where the folder was").unwrap();
-    assert!(journal.keep_name().unwrap_err().contains("cannot be restored"));
+    assert!(journal.keep_name().unwrap_err().to_string().contains("cannot be restored"));
 }
 
 #[tokio::test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use urrcp::{Server, Timestamp};
 
-use super::{Disk, FileDisk, Journal, Name};
+use super::{Disk, FileDisk, Journal, JournalBroken, Name};
 use downbeat_mission::Record;
 
 /// Maximum number of records that may wait for the disk. If one more record arrives, the journal is treated as lost.
@@ -59,6 +59,17 @@ impl Written {
     }
 }
 
+/// Why a record was not queued.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum QueueError {
+    /// Too many records wait for the disk.
+    #[error("the journal's disk is too slow: {WAITING_MAX} records are waiting")]
+    Full,
+    /// The thread has failed.
+    #[error("the thread that writes the journal has ended")]
+    Ended,
+}
+
 /// Sends records to the thread that writes them.
 #[derive(Debug)]
 pub struct Writer<D = FileDisk> {
@@ -89,13 +100,11 @@ impl<D: Disk + Send + 'static> Writer<D> {
     /// Queues a record without waiting.
     ///
     /// # Errors
-    /// Returns the reason why the journal takes no further records, for example because too many records wait for the disk.
-    pub fn write(&self, at: Timestamp<Server>, record: Record) -> Result<(), String> {
+    /// Returns [`QueueError`], after which the journal takes no further records.
+    pub fn write(&self, at: Timestamp<Server>, record: Record) -> Result<(), QueueError> {
         self.queue.try_send((at, record)).map_err(|error| match error {
-            TrySendError::Full(_) => {
-                format!("the journal's disk is too slow: {WAITING_MAX} records are waiting")
-            }
-            TrySendError::Disconnected(_) => "the thread that writes the journal has ended".to_owned(),
+            TrySendError::Full(_) => QueueError::Full,
+            TrySendError::Disconnected(_) => QueueError::Ended,
         })
     }
 
@@ -140,7 +149,7 @@ fn write_all<D: Disk>(
             written.again += u32::from(named == Ok(Name::WrittenAgain));
             match synced {
                 Ok(count) => written.count = count,
-                Err(reason) => written.lost = Some(reason),
+                Err(broken) => written.lost = Some(broken.to_string()),
             }
             *written != before
         });
@@ -154,6 +163,6 @@ fn write_all<D: Disk>(
 pub fn append_all<D: Disk>(
     journal: &mut Journal<D>,
     mut waiting: impl Iterator<Item = (Timestamp<Server>, Record)>,
-) -> Result<(), String> {
+) -> Result<(), JournalBroken> {
     waiting.try_for_each(|(at, record)| journal.append(at, &record))
 }

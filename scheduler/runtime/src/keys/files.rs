@@ -1,9 +1,9 @@
 //! The files of a certificate authority. Files that contain a key are private. A file is never changed in part: a new version replaces
 //! it.
 
-use std::fs::{self, File};
-use std::io::{self, Read};
-use std::os::unix::fs::PermissionsExt;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use downbeat_robot::tls::Name;
@@ -57,13 +57,21 @@ pub fn file_name(name: &str) -> String {
     utf8_percent_encode(name, KEPT).to_string()
 }
 
+/// Returns the name of a robot's or operator's files, without their extension.
+pub(super) fn name_of(name: &Name) -> String {
+    match name {
+        Name::Robot(id) => file_name(id.as_str()),
+        Name::Operator(name) => file_name(name),
+    }
+}
+
 /// Returns the path of a robot's or operator's identity file.
 pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
-    let (kind, name) = match name {
-        Name::Robot(id) => ("robots", id.as_str()),
-        Name::Operator(name) => ("operators", name.as_str()),
+    let kind = match name {
+        Name::Robot(_) => "robots",
+        Name::Operator(_) => "operators",
     };
-    folder.join(kind).join(format!("{}.pem", file_name(name)))
+    folder.join(kind).join(format!("{}.pem", name_of(name)))
 }
 
 /// Returns the folder that contains the robots' secrets.
@@ -94,6 +102,8 @@ pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysErro
 
 /// Deletes a file if it exists. Returns whether it existed.
 pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     match fs::remove_file(path) {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
@@ -123,10 +133,71 @@ pub(super) fn check_private(folder: &Path, name: &str) -> Result<(), KeysError> 
     Err(KeysError::Damaged { path: path.into(), what })
 }
 
+/// Checks that a file does not exist.
+pub(super) fn check_new(path: &Path) -> Result<(), KeysError> {
+    match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(at(path)(error)),
+        Ok(_) => Err(KeysError::FileExists(path.into())),
+    }
+}
+
+/// Writes a new file with these permission bits. Fails if it exists; if it cannot be written, nothing remains.
+pub(super) fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
+    let file = OpenOptions::new().write(true).create_new(true).mode(mode).open(path);
+    let mut file = file.map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => KeysError::FileExists(path.into()),
+        _ => at(path)(error),
+    })?;
+    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    written.map_err(|error| {
+        let _partly_written = fs::remove_file(path);
+        at(path)(error)
+    })
+}
+
 pub(super) fn write_private(path: &Path, text: &str) -> Result<(), KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     downbeat_robot::replace(path, text.as_bytes(), 0o600).map_err(at(path))
 }
 
 pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
+    #[cfg(test)]
+    interruption::check(path)?;
     downbeat_robot::replace(path, text.as_bytes(), 0o644).map_err(at(path))
+}
+
+/// Interrupts changes of a folder between two writes, as if the process had been killed there.
+#[cfg(test)]
+pub(super) mod interruption {
+    use std::cell::Cell;
+    use std::io;
+    use std::path::Path;
+
+    use super::{KeysError, at};
+
+    thread_local! {
+        /// Number of writes that this thread may still do. `None` without a limit.
+        static LEFT: Cell<Option<usize>> = const { Cell::new(None) };
+    }
+
+    /// Calls `change`, and makes all its writes after the first `count` fail.
+    pub(crate) fn after<T>(count: usize, change: impl FnOnce() -> T) -> T {
+        LEFT.set(Some(count));
+        let result = change();
+        LEFT.set(None);
+        result
+    }
+
+    pub(super) fn check(path: &Path) -> Result<(), KeysError> {
+        match LEFT.get() {
+            None => Ok(()),
+            Some(0) => Err(at(path)(io::Error::other("interrupted"))),
+            Some(left) => {
+                LEFT.set(Some(left - 1));
+                Ok(())
+            }
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! The record of all certificates that an authority has issued. Each line of the file is a JSON object for one certificate.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use downbeat_robot::tls::{Identity, Name};
@@ -29,6 +30,13 @@ pub struct Entry {
     /// When the certificate was revoked, in seconds since 1970, UTC. `None` if it was not revoked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<i64>,
+    /// The name of the authority that issued the certificate. `None` in a record from before authorities could be replaced; it means
+    /// the first authority of the folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub authority: Option<String>,
+    /// Whether the certificate was requested for a key that is not in the authority's folder.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub requested: bool,
 }
 
 /// The kind of a certificate's owner.
@@ -62,6 +70,12 @@ impl Entry {
             Name::Robot(id) => self.kind == Kind::Robot && self.name == id.as_str(),
             Name::Operator(name) => self.kind == Kind::Operator && self.name == *name,
         }
+    }
+
+    /// Whether the certificate is neither revoked nor expired at `now`, in seconds since 1970, UTC. Its authority may have ended.
+    #[must_use]
+    pub fn is_valid(&self, now: i64) -> bool {
+        self.revoked.is_none() && self.expires >= now
     }
 
     fn serial(&self) -> Option<Vec<u8>> {
@@ -110,7 +124,38 @@ impl Issued {
         };
         let roles = identity.roles.iter().map(|role| role.to_string()).collect();
         let (serial, expires) = (identity.serial.clone(), identity.expires);
-        self.entries.push(Entry { serial, kind, name, roles, issued: now, expires, revoked: None });
+        let authority = Some(identity.authority.clone());
+        self.entries.push(Entry {
+            serial,
+            kind,
+            name,
+            roles,
+            issued: now,
+            expires,
+            revoked: None,
+            authority,
+            requested: false,
+        });
+    }
+
+    /// Like [`Self::add`], for a key that is not in the authority's folder.
+    pub(super) fn add_requested(&mut self, identity: &Identity, now: i64) {
+        self.add(identity, now);
+        if let Some(entry) = self.entries.last_mut() {
+            entry.requested = true;
+        }
+    }
+
+    /// Attributes certificates without an authority to this one. Returns whether there were any.
+    pub(super) fn attribute(&mut self, authority: &str) -> bool {
+        let nameless = self.entries.iter_mut().filter(|entry| entry.authority.is_none());
+        nameless.map(|entry| entry.authority = Some(authority.to_owned())).count() > 0
+    }
+
+    /// Returns for each robot and operator the latest certificate that is valid at `now`, in seconds since 1970, UTC.
+    pub(super) fn valid(&self, now: i64) -> BTreeMap<Name, &Entry> {
+        let valid = self.entries.iter().filter(|entry| entry.is_valid(now));
+        valid.filter_map(|entry| Some((entry.owner()?, entry))).collect()
     }
 
     /// All entries, in order of issue.
@@ -147,9 +192,10 @@ impl Issued {
         operators.filter(|entry| entry.revoked.is_none()).filter(is_last)
     }
 
-    /// Returns the serial number and the time of revocation of each revoked certificate.
-    pub(super) fn revoked(&self) -> impl Iterator<Item = (Vec<u8>, i64)> + '_ {
-        self.entries.iter().filter_map(|entry| entry.serial().zip(entry.revoked))
+    /// Returns the serial number and the time of revocation of each certificate that this authority issued and that was revoked.
+    pub(super) fn revoked_of<'a>(&'a self, authority: &'a str) -> impl Iterator<Item = (Vec<u8>, i64)> + 'a {
+        let is_of = move |entry: &&Entry| entry.authority.as_deref().is_none_or(|name| name == authority);
+        self.entries.iter().filter(is_of).filter_map(|entry| entry.serial().zip(entry.revoked))
     }
 
     pub(super) fn unknown(&self, name: &Name) -> KeysError {

@@ -3,13 +3,21 @@
 //! Only the owner has access to the folder. It contains `authority.key`, `authority.pem`, the list of revoked certificates `revoked.pem`,
 //! and a record of all issued certificates (`issued.rs`). It also contains an identity file for each robot and operator: the private key,
 //! its certificate, and the authority's certificate. The contents of a certificate are defined in `downbeat_robot::tls`. For robots
-//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`).
+//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`). Keys that are made elsewhere are only
+//! certified (`request.rs`). The authority's key may have a passphrase (`passphrase.rs`, `unlocked.rs`). While the authority is replaced,
+//! the folder contains its successor as well (`rotation.rs`).
 
 mod files;
+mod fingerprint;
 mod issued;
+mod location;
+mod passphrase;
+mod request;
+mod rotation;
 mod secrets;
 #[cfg(test)]
 mod tests;
+mod unlocked;
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -20,23 +28,33 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use downbeat_robot::sealed::{self, RevokedSerials, Secret, SecretError};
 use downbeat_robot::tls::{self, Credentials, Identity, Name, Revoked, SERVER_NAME};
-use downbeat_robot::{Door, Roles};
+use downbeat_robot::{Door, KeyFileError, Roles};
 use downbeat_scripts::Protection;
+use pkcs8::der::zeroize::Zeroizing;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DistinguishedName, DnType,
-    ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, RevokedCertParams, SanType,
-    SerialNumber,
+    ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, PublicKeyData,
+    RevokedCertParams, SanType, SerialNumber,
 };
 use time::OffsetDateTime;
 use urrcp::RobotId;
 
 use crate::journal::private::NotPrivate;
 pub use files::file_name;
+pub use fingerprint::Fingerprint;
 pub use issued::{Entry, Issued, Kind};
+pub use location::Location;
+pub use passphrase::{Ask, Passphrase, PassphraseError};
+pub use request::{Installed, Request, RequestError, Requested, Signed, Terms, install, request};
+pub use rotation::{Authorities, End, Issuing, Renewed};
 pub use secrets::IfThere;
+use unlocked::Unlocked;
 
 const AUTHORITY_KEY: &str = "authority.key";
 const AUTHORITY: &str = "authority.pem";
+/// The keys with another passphrase, while the files of two keys are being replaced.
+const CHANGED_KEYS: &str = "changed.key";
+const PEM_BEGIN: &str = "-----BEGIN ";
 const REVOKED: &str = "revoked.pem";
 const REVOKED_SERIALS: &str = "revoked.serials";
 /// Validity of an authority in days.
@@ -70,6 +88,14 @@ pub enum KeysError {
     /// The folder contains no certificate authority.
     #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
+    /// No variable of the environment names a folder for keys.
+    #[error(
+        "no folder for keys: HOME is not set; set HOME, set DOWNBEAT_KEYS to a folder of your own, or name a folder with --keys"
+    )]
+    NoFolder,
+    /// The default folder, named here, contains no authority, but the default folder of earlier versions does.
+    #[error("{} contains no authority, but the folder `keys` does, which was the default of earlier versions; use it with `--keys keys`, or name another folder with --keys", .0.display())]
+    FormerDefault(PathBuf),
     /// The contents of a file cannot be used.
     #[error("{}: {what}", path.display())]
     Damaged {
@@ -87,6 +113,37 @@ pub enum KeysError {
     /// A secret or a pass cannot be read or made.
     #[error(transparent)]
     Secret(#[from] SecretError),
+    /// A file with a private key cannot be used.
+    #[error(transparent)]
+    KeyFile(#[from] KeyFileError),
+    /// The authority's key has a passphrase that is not known, or cannot have this one.
+    #[error(transparent)]
+    Passphrase(#[from] PassphraseError),
+    /// A file that would be written exists.
+    #[error("{} exists, and is not replaced; move it away, or name another folder with --out", .0.display())]
+    FileExists(PathBuf),
+    /// A request for a certificate, or a certificate, is not used.
+    #[error("{}: {error}", path.display())]
+    Request {
+        /// The path of the file.
+        path: PathBuf,
+        /// The reason.
+        error: RequestError,
+    },
+    /// The private key of this name is not in the authority's folder, because its certificate was requested.
+    #[error("the private key of {0} is on the machine that requested its certificate; make another key there with `downbeat keys request {kind} {name}`, and sign the request here with `downbeat keys sign --renew`", kind = kind_and_name(.0).0, name = kind_and_name(.0).1)]
+    KeyElsewhere(Name),
+    /// A text cannot be the name of a robot or an operator.
+    #[error("`{name}` cannot be a name: {error}")]
+    Name {
+        /// The text.
+        name: String,
+        /// The reason, or the expected form.
+        error: String,
+    },
+    /// Roles were requested for a robot.
+    #[error("robots have no roles; leave out --role")]
+    RolesOfRobot,
     /// No key was issued under this name.
     #[error("{name} has no key in this folder; names with a key: {known}")]
     Unknown {
@@ -104,6 +161,15 @@ pub enum KeysError {
     /// Several certificates have a serial number that begins in this way.
     #[error("several certificates have a serial number that begins with `{0}`; specify more digits")]
     AmbiguousSerial(String),
+    /// The authority is already being replaced.
+    #[error("the authority in {} is already being replaced; create the remaining keys with `downbeat keys renew --all`, then shut out the old authority with `downbeat keys rotate --end`", .0.display())]
+    Rotating(PathBuf),
+    /// The authority is not being replaced.
+    #[error("the authority in {} is not being replaced; begin with `downbeat keys rotate`", .0.display())]
+    NotRotating(PathBuf),
+    /// These names have valid certificates of the old authority, and none of the new one.
+    #[error("{} only a key of the old authority; create new ones with `downbeat keys renew --all`, or shut these out with --force", have_only(.0))]
+    NotRenewed(Vec<Name>),
     /// The certificate could not be signed.
     #[error("cannot create a certificate: {0}")]
     Signing(#[from] rcgen::Error),
@@ -116,12 +182,29 @@ impl KeysError {
     }
 }
 
+fn no_passphrase(key: &Path) -> Result<Passphrase, PassphraseError> {
+    Err(PassphraseError::Unknown(key.into()))
+}
+
+/// Returns a name as two words of a command.
+fn kind_and_name(name: &Name) -> (&'static str, &str) {
+    match name {
+        Name::Robot(id) => ("robot", id.as_str()),
+        Name::Operator(name) => ("operator", name),
+    }
+}
+
 fn have_keys(names: &[Name]) -> String {
     have(names.iter().map(Name::to_string), "key")
 }
 
 fn have_secrets(robots: &[RobotId]) -> String {
     have(robots.iter().map(|robot| format!("robot {robot}")), "secret")
+}
+
+fn have_only(names: &[Name]) -> String {
+    let listed: Vec<String> = names.iter().map(Name::to_string).collect();
+    format!("{} {}", listed.join(", "), if names.len() == 1 { "has" } else { "have" })
 }
 
 fn have(names: impl Iterator<Item = String>, what: &str) -> String {
@@ -139,6 +222,8 @@ pub struct Authority {
     folder: PathBuf,
     /// Lock that admits only one process to the folder at a time. It is held while this value lives.
     _lock: File,
+    /// The keys in the folder, whose passphrase is asked for at most once.
+    keys: Unlocked,
 }
 
 impl Authority {
@@ -147,36 +232,128 @@ impl Authority {
     /// # Errors
     /// Returns [`KeysError`], also if an authority already exists.
     pub fn create(folder: &Path, now: i64) -> Result<Self, KeysError> {
+        Self::create_with(folder, now, None)
+    }
+
+    /// Creates a new authority in a folder. If `new_passphrase` is given, it is called for the passphrase of the key. `now` is in seconds
+    /// since 1970, UTC.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`], also if an authority already exists.
+    pub fn create_with(folder: &Path, now: i64, new_passphrase: Option<Ask>) -> Result<Self, KeysError> {
         files::make_private_folder(folder)?;
-        let own = Self { folder: folder.into(), _lock: files::lock(folder)? };
+        let own = Self::in_folder(folder, no_passphrase)?;
         if own.path(AUTHORITY_KEY).exists() || own.path(AUTHORITY).exists() {
             return Err(KeysError::Exists(folder.into()));
         }
         files::keep_out_of_git(folder)?;
         let key = KeyPair::generate()?;
-        // The name contains a mark from the key, to distinguish this authority from others.
-        let mark: String =
-            key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
-        let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
-        of_authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
-        of_authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-        let certificate = of_authority.self_signed(&key)?;
-        files::write_private(&own.path(AUTHORITY_KEY), &key.serialize_pem())?;
+        let certificate = authority_params(&key, now)?.self_signed(&key)?;
+        own.keys.protect_with(new_passphrase.map(|ask| ask(&own.path(AUTHORITY_KEY))).transpose()?);
+        own.write_key(AUTHORITY_KEY, &Zeroizing::new(key.serialize_pem()))?;
         files::write_public(&own.path(AUTHORITY), &certificate.pem())?;
         own.write_revoked(&Issued::default(), now)?;
         Ok(own)
     }
 
-    /// Opens an existing authority.
+    /// Opens an existing authority whose key has no passphrase, or will not be needed. Completes changes that were interrupted.
     ///
     /// # Errors
     /// Returns [`KeysError`] if the folder contains no authority, or if its files cannot be used.
     pub fn open(folder: &Path) -> Result<Self, KeysError> {
+        Self::open_with(folder, no_passphrase)
+    }
+
+    /// Opens an existing authority. Completes changes that were interrupted. `ask` is called at most once for the passphrase of the key,
+    /// when the key is needed.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`] if the folder contains no authority, or if its files cannot be used.
+    pub fn open_with(folder: &Path, ask: Ask) -> Result<Self, KeysError> {
         if !folder.join(AUTHORITY_KEY).exists() {
             return Err(KeysError::NoAuthority(folder.into()));
         }
         files::check_private(folder, AUTHORITY_KEY)?;
-        Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
+        let own = Self::in_folder(folder, ask)?;
+        own.complete_passphrase()?;
+        own.complete(calendar())?;
+        Ok(own)
+    }
+
+    fn in_folder(folder: &Path, ask: Ask) -> Result<Self, KeysError> {
+        Ok(Self { folder: folder.into(), _lock: files::lock(folder)?, keys: Unlocked::new(ask) })
+    }
+
+    /// Whether the authority's key has a passphrase.
+    ///
+    /// # Errors
+    /// Fails if the key cannot be read.
+    pub fn has_passphrase(&self) -> Result<bool, KeysError> {
+        Ok(passphrase::is_encrypted(&files::read(&self.path(AUTHORITY_KEY))?))
+    }
+
+    /// Gives the key a new passphrase, for which `new` is called after the present one has been verified. While the authority is replaced,
+    /// both keys get it. Returns the paths of the keys.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`]. If the process is interrupted, [`Authority::open`] completes the change.
+    pub fn set_passphrase(
+        &self,
+        new: impl FnOnce(&Path) -> Result<Passphrase, PassphraseError>,
+    ) -> Result<Vec<PathBuf>, KeysError> {
+        self.unlock()?;
+        self.change_passphrase(Some(new(&self.path(AUTHORITY_KEY))?))
+    }
+
+    /// Stores the key without a passphrase; while the authority is replaced, both keys. Returns their paths.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`]. If the process is interrupted, [`Authority::open`] completes the change.
+    pub fn remove_passphrase(&self) -> Result<Vec<PathBuf>, KeysError> {
+        self.change_passphrase(None)
+    }
+
+    fn change_passphrase(&self, passphrase: Option<Passphrase>) -> Result<Vec<PathBuf>, KeysError> {
+        let files = self.key_files()?;
+        let paths: Vec<PathBuf> = files.iter().map(|name| self.path(name)).collect();
+        let keys = self.unlock()?;
+        self.keys.protect_with(passphrase);
+        match keys.as_slice() {
+            [key] => self.write_key(AUTHORITY_KEY, key)?,
+            keys => {
+                // Two files cannot be replaced at once, and keys with different passphrases would be unusable.
+                let stored = keys.iter().map(|key| self.keys.stored(key));
+                let stored = stored.collect::<Result<Vec<_>, _>>()?;
+                let text = Zeroizing::new(stored.iter().map(|key| key.as_str()).collect::<String>());
+                files::write_private(&self.path(CHANGED_KEYS), &text)?;
+                self.complete_passphrase()?;
+            }
+        }
+        Ok(paths)
+    }
+
+    /// Completes a change of the passphrase of two keys that was interrupted.
+    fn complete_passphrase(&self) -> Result<(), KeysError> {
+        let changed = self.path(CHANGED_KEYS);
+        if !changed.exists() {
+            return Ok(());
+        }
+        files::check_private(&self.folder, CHANGED_KEYS)?;
+        let text = Zeroizing::new(files::read(&changed)?);
+        for (name, key) in self.key_files()?.iter().zip(text.split(PEM_BEGIN).skip(1)) {
+            files::write_private(&self.path(name), &Zeroizing::new(format!("{PEM_BEGIN}{key}")))?;
+        }
+        files::delete(&changed).map(drop)
+    }
+
+    /// Writes a key, with the passphrase of the other keys, if they have one.
+    fn write_key(&self, name: &str, key: &Zeroizing<String>) -> Result<(), KeysError> {
+        files::write_private(&self.path(name), &self.keys.stored(key)?)
+    }
+
+    /// Returns all keys that sign, in PEM. Asks for their passphrase if that is necessary.
+    fn unlock(&self) -> Result<Vec<Zeroizing<String>>, KeysError> {
+        self.key_files()?.iter().map(|name| self.keys.read(&self.path(name))).collect()
     }
 
     /// Returns the record of the certificates that the authority has issued.
@@ -212,10 +389,13 @@ impl Authority {
     /// valid until it expires or is revoked.
     ///
     /// # Errors
-    /// Returns [`KeysError`], also if the name has no key.
+    /// Returns [`KeysError`], also if the name has no key, or if its key is not in this folder.
     pub fn renew(&self, name: &Name, now: i64, days: i64) -> Result<PathBuf, KeysError> {
         let issued = self.issued()?;
         let known = issued.latest(name).ok_or_else(|| issued.unknown(name))?;
+        if known.requested {
+            return Err(KeysError::KeyElsewhere(name.clone()));
+        }
         self.write_identity(name, &known.roles(), now, days)
     }
 
@@ -226,13 +406,19 @@ impl Authority {
     /// Returns [`KeysError`], also if the name has no key, or only revoked ones.
     pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
         let mut issued = self.issued()?;
+        let has_secret = match name {
+            Name::Robot(robot) => self.robots_with_secret()?.contains(robot),
+            Name::Operator(_) => false,
+        };
+        if issued.latest(name).is_none() && !has_secret {
+            return Err(issued.unknown(name));
+        }
+        // Nothing is revoked in part because a passphrase is wrong.
+        self.unlock()?;
         let secret = match name {
             Name::Robot(robot) => self.delete_secret(robot)?,
             Name::Operator(_) => 0,
         };
-        if issued.latest(name).is_none() && secret == 0 {
-            return Err(issued.unknown(name));
-        }
         let revoked = issued.revoke(name, now) + secret;
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
@@ -326,46 +512,55 @@ impl Authority {
         self.folder.join(name)
     }
 
-    fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, String), KeysError> {
-        let (key_path, path) = (self.path(AUTHORITY_KEY), self.path(AUTHORITY));
-        let damaged = |path: &Path, error: rcgen::Error| KeysError::Damaged {
+    /// Reads a key and its certificate, which can sign certificates and lists.
+    fn signer(&self, key: &str, certificate: &str) -> Result<Signer, KeysError> {
+        let (key_path, path) = (self.path(key), self.path(certificate));
+        let damaged = |path: &Path, error: String| KeysError::Damaged {
             path: path.into(),
             what: format!("invalid authority key or certificate: {error}"),
         };
-        let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
-        let certificate = files::read(&path)?;
-        let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|error| damaged(&path, error))?;
-        Ok((issuer, certificate))
+        let key = KeyPair::from_pem(&self.keys.read(&key_path)?)
+            .map_err(|error| damaged(&key_path, error.to_string()))?;
+        let pem = files::read(&path)?;
+        let issuer =
+            Issuer::from_ca_cert_pem(&pem, key).map_err(|error| damaged(&path, error.to_string()))?;
+        let authority = tls::Authority::of_pem(&pem).map_err(|error| damaged(&path, error.to_string()))?;
+        Ok(Signer { issuer, authority, pem })
     }
 
     fn write_identity(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
-        let (issuer, authority) = self.issuer()?;
         let key = KeyPair::generate()?;
-        let mut params = params(&name.to_string(), now, days)?;
-        for uri in Identity::uris(name, roles) {
-            params.subject_alt_names.push(SanType::URI(uri.try_into()?));
-        }
-        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        params.use_authority_key_identifier_extension = true;
-        params.extended_key_usages = match name {
-            Name::Robot(_) => {
-                params.subject_alt_names.push(SanType::DnsName(SERVER_NAME.try_into()?));
-                vec![ExtendedKeyUsagePurpose::ServerAuth]
-            }
-            Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
-        };
-        let certificate = params.signed_by(&key, &issuer)?;
-        let identity = Identity::of_certificate(certificate.der())
-            .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
+        let certified = self.certify(name, roles, &key, now, days)?;
         let path = files::identity_path(&self.folder, name);
         path.parent().map(files::make_private_folder).transpose()?;
         // The record is written first, because a certificate that is not in the record cannot be revoked.
         let mut issued = self.issued()?;
-        issued.add(&identity, now);
+        issued.add(&certified.identity, now);
         issued.write(&self.folder)?;
-        files::write_private(&path, &format!("{}{}{authority}", key.serialize_pem(), certificate.pem()))?;
+        let Certified { certificate, authorities, .. } = certified;
+        files::write_private(&path, &format!("{}{certificate}{authorities}", key.serialize_pem()))?;
         self.write_passes(&issued)?;
         Ok(path)
+    }
+
+    /// Makes a certificate for a public key. The caller has to record it.
+    fn certify(
+        &self,
+        name: &Name,
+        roles: &Roles,
+        key: &impl PublicKeyData,
+        now: i64,
+        days: i64,
+    ) -> Result<Certified, KeysError> {
+        let (signer, old) = (self.current()?, self.old_certificate()?);
+        let mut params = profile(name, roles)?;
+        set_validity(&mut params, now, days)?;
+        params.use_authority_key_identifier_extension = true;
+        let certificate = params.signed_by(key, &signer.issuer)?;
+        let identity = Identity::of_certificate(certificate.der())
+            .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
+        let authorities = format!("{}{old}", signer.pem);
+        Ok(Certified { certificate: certificate.pem(), identity, authorities })
     }
 
     /// Returns the number of the next list. Robots accept a list only if its number is larger than that of the list in use, so it is larger
@@ -382,26 +577,51 @@ impl Authority {
     }
 
     fn write_revoked(&self, issued: &Issued, now: i64) -> Result<(), KeysError> {
-        let (issuer, _) = self.issuer()?;
         let number = self.next_number(now);
-        let revoked = |(serial, at): (Vec<u8>, i64)| {
+        let mut text = self.lists_of_predecessors(issued, number, now)?;
+        let signer = self.current()?;
+        let revoked = issued.revoked_of(signer.authority.name()).collect();
+        text += &signer.list(revoked, number, now, now + LIST_DAYS * DAY)?;
+        files::write_public(&self.path(REVOKED), &text)?;
+        self.write_revoked_serials(issued, number)
+    }
+}
+
+/// A key that signs certificates and lists, with the certificate of its authority.
+struct Signer {
+    issuer: Issuer<'static, KeyPair>,
+    authority: tls::Authority,
+    /// The certificate in PEM.
+    pem: String,
+}
+
+impl Signer {
+    /// Makes a list of revoked certificates, in PEM. `revoked` contains serial numbers with the times of revocation; all times are in
+    /// seconds since 1970, UTC.
+    fn list(
+        &self,
+        revoked: Vec<(Vec<u8>, i64)>,
+        number: u64,
+        now: i64,
+        next_update: i64,
+    ) -> Result<String, KeysError> {
+        let revoked = revoked.into_iter().map(|(serial, at)| {
             Ok::<_, KeysError>(RevokedCertParams {
                 serial_number: SerialNumber::from(serial),
                 revocation_time: instant(at)?,
                 reason_code: None,
                 invalidity_date: None,
             })
-        };
+        });
         let list = CertificateRevocationListParams {
             this_update: instant(now - BACKDATED)?,
-            next_update: instant(now + LIST_DAYS * DAY)?,
+            next_update: instant(next_update)?,
             crl_number: SerialNumber::from(number),
             issuing_distribution_point: None,
-            revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
+            revoked_certs: revoked.collect::<Result<_, _>>()?,
             key_identifier_method: KeyIdMethod::Sha256,
         };
-        files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)?;
-        self.write_revoked_serials(issued, number)
+        Ok(list.signed_by(&self.issuer)?.pem()?)
     }
 }
 
@@ -437,14 +657,71 @@ pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result
     }
 }
 
-fn params(common_name: &str, now: i64, days: i64) -> Result<CertificateParams, KeysError> {
+/// Returns the certificate of a new authority with this key.
+fn authority_params(key: &KeyPair, now: i64) -> Result<CertificateParams, KeysError> {
+    // The name contains a mark from the key, to distinguish this authority from others.
+    let mark: String = key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
+    let mut params = named(&format!("Downbeat authority {mark}"))?;
+    set_validity(&mut params, now, AUTHORITY_DAYS)?;
+    // An authority may introduce its successor, which issues certificates in turn.
+    params.is_ca = IsCa::Ca(BasicConstraints::Constrained(1));
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+    Ok(params)
+}
+
+/// A new certificate, and the authority that has signed it.
+struct Certified {
+    /// The certificate, in PEM.
+    certificate: String,
+    identity: Identity,
+    /// The certificate of the authority, and while it is replaced that of the old one, in PEM.
+    authorities: String,
+}
+
+/// Maximum length of an operator's name in characters. A robot's id has the same limit.
+const OPERATOR_NAME_MAX: usize = 256;
+
+/// Checks that a text can be the name of an operator.
+///
+/// # Errors
+/// Returns the expected form as a sentence if it cannot.
+pub fn check_operator_name(text: &str) -> Result<(), String> {
+    let length = text.chars().count();
+    if text.trim().is_empty() || length > OPERATOR_NAME_MAX || text.chars().any(char::is_control) {
+        return Err(format!("expected a name of 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
+    }
+    Ok(())
+}
+
+fn named(common_name: &str) -> Result<CertificateParams, KeysError> {
     let mut params = CertificateParams::new(Vec::new())?;
     params.distinguished_name = DistinguishedName::new();
     let common_name: String = common_name.chars().take(COMMON_NAME_MAX).collect();
     params.distinguished_name.push(DnType::CommonName, common_name);
+    Ok(params)
+}
+
+/// Returns the contents of a robot's or operator's certificate, without its validity.
+fn profile(name: &Name, roles: &Roles) -> Result<CertificateParams, KeysError> {
+    let mut params = named(&name.to_string())?;
+    for uri in Identity::uris(name, roles) {
+        params.subject_alt_names.push(SanType::URI(uri.try_into()?));
+    }
+    params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+    params.extended_key_usages = match name {
+        Name::Robot(_) => {
+            params.subject_alt_names.push(SanType::DnsName(SERVER_NAME.try_into()?));
+            vec![ExtendedKeyUsagePurpose::ServerAuth]
+        }
+        Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
+    };
+    Ok(params)
+}
+
+fn set_validity(params: &mut CertificateParams, now: i64, days: i64) -> Result<(), KeysError> {
     params.not_before = instant(now - BACKDATED)?;
     params.not_after = instant(now + days * DAY)?;
-    Ok(params)
+    Ok(())
 }
 
 fn instant(seconds: i64) -> Result<OffsetDateTime, KeysError> {

@@ -16,6 +16,11 @@ use tokio_rustls::{TlsAcceptor, TlsConnector};
 
 use super::*;
 
+mod own_pki;
+mod protected;
+mod requests;
+mod rotation;
+
 fn robot(id: &str) -> Name {
     Name::Robot(id.parse().unwrap())
 }
@@ -58,9 +63,9 @@ fn meet(
     operator: &Credentials,
     revoked: Option<&Revoked>,
 ) -> (Result<Identity, String>, Result<Identity, String>) {
-    let list = revoked.map(|revoked| robot.list(revoked).unwrap());
-    let server = Arc::new(server_config(robot, list.as_ref()).unwrap());
-    let client = Arc::new(client_config(operator, list.as_ref()).unwrap());
+    let list = |own: &Credentials| revoked.map(|revoked| own.list(revoked).unwrap());
+    let server = Arc::new(server_config(robot, list(robot).as_ref()).unwrap());
+    let client = Arc::new(client_config(operator, list(operator).as_ref()).unwrap());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let (near, far) = tokio::io::duplex(64 * 1024);

@@ -41,7 +41,7 @@ const SIFTED_FOR: Span = Span::from_millis(2_000);
 /// How much a robot may still send on all its links together. It is kept per robot, because responses to requests on a broken link arrive
 /// on the next link. A robot that closes its link gets no new reserve.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Asked(Arc<Mutex<Allowance>>);
+pub(crate) struct SharedAllowance(Arc<Mutex<Allowance>>);
 
 #[derive(Debug)]
 struct Allowance {
@@ -99,7 +99,7 @@ struct Amount {
     bytes: u64,
 }
 
-impl Asked {
+impl SharedAllowance {
     /// Notes a message of `bytes` bytes that is about to be written to the robot, and permits the responses to it.
     pub(crate) fn note(&self, message: &Message, bytes: usize) {
         if let Some(sieve) = &mut self.lock().sieve {
@@ -168,7 +168,7 @@ impl Allowance {
 /// Counts the data received on one link against the robot's allowance.
 #[derive(Debug)]
 pub(crate) struct Budget {
-    asked: Asked,
+    asked: SharedAllowance,
     came: Amount,
     hears: Hears,
 }
@@ -185,7 +185,7 @@ enum Hears {
 
 impl Budget {
     /// Creates the budget of a new link. `asked` is the allowance of the link's robot.
-    pub(crate) fn new(asked: Asked) -> Self {
+    pub(crate) fn new(asked: SharedAllowance) -> Self {
         let hears = if asked.lock().sieve.is_some() { Hears::Sifted(None) } else { Hears::All };
         Self { asked, came: Amount::default(), hears }
     }
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn unrequested_messages_use_a_reserve_that_refills() {
-        let mut budget = Budget::new(Asked::default());
+        let mut budget = Budget::new(SharedAllowance::default());
         assert_eq!(taken(&mut budget, at(0), 100), RESERVE_MESSAGES);
         assert_eq!(taken(&mut budget, at(500), 100), REFILL_MESSAGES / 2);
         assert_eq!(taken(&mut budget, at(3_600_000), 100), RESERVE_MESSAGES);
@@ -291,7 +291,7 @@ mod tests {
 
     #[test]
     fn few_long_messages_also_cause_flooding() {
-        let mut budget = Budget::new(Asked::default());
+        let mut budget = Budget::new(SharedAllowance::default());
         assert_eq!(taken(&mut budget, at(0), 1024 * 1024), 4);
         let Err(Loss::Flooding { messages, bytes }) = budget.take_bytes(at(0), 1) else { panic!() };
         assert!(messages == 4 && bytes > RESERVE_BYTES, "{messages} {bytes}");
@@ -299,7 +299,7 @@ mod tests {
 
     #[test]
     fn requests_allow_answers_on_later_links_and_reserve_is_per_robot() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         (0..32_000).for_each(|_| asked.note(&request(), 100));
         let mut first = Budget::new(asked.clone());
         for _ in 0..3 * 32_000 + RESERVE_MESSAGES / 2 {
@@ -312,7 +312,7 @@ mod tests {
 
     #[test]
     fn repeated_description_requests_allow_only_one_maximum_length_line() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         let question = Message::InitializationRequest(InitializationRequest::default());
         (0..10).for_each(|_| asked.note(&question, 30));
         let mut budget = Budget::new(asked);
@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     fn after_flooding_only_answers_to_new_requests_pass_and_only_briefly() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         let mut first = Budget::new(asked.clone());
         assert!(!first.is_sifted());
         taken(&mut first, at(0), 100);
@@ -352,7 +352,7 @@ mod tests {
 
     #[test]
     fn robot_that_answers_every_request_never_floods() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         let mut budget = Budget::new(asked.clone());
         let names = vec!["request".parse().unwrap(); 100];
         for round in 0..100_000 {
@@ -367,7 +367,7 @@ mod tests {
 
     #[test]
     fn robot_may_report_outcomes_of_scripts_sent_by_another_process() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         asked.note_held(50);
         assert_eq!(taken(&mut Budget::new(asked), at(0), 100), RESERVE_MESSAGES + 50 * ANSWERS_TO_A_REQUEST);
     }
@@ -380,7 +380,7 @@ mod tests {
         };
         let longest = usize::try_from(RESERVE_BYTES + 10 * ANSWER_BYTES).unwrap();
         for (bytes, taken) in [(longest, true), (longest + 1, false)] {
-            let asked = Asked::default();
+            let asked = SharedAllowance::default();
             asked.note(&Message::Inquiry(inquiry.clone()), 100);
             assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken);
         }
@@ -388,7 +388,7 @@ mod tests {
 
     #[test]
     fn robot_that_flooded_may_send_each_requested_description() {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         taken(&mut Budget::new(asked.clone()), at(0), 100);
         let budget = Budget::new(asked.clone());
         let block = r#"{"initialization_block": {"id": "r", "api_version": "1", "devices": [{"id": "a", "name": "a", "available_control_types": {}}]}}"#;
@@ -406,7 +406,7 @@ mod tests {
         for (message, repeated) in [(request(), 8 * 100), (Message::ControlRequest(sensor), 0)] {
             let longest = usize::try_from(RESERVE_BYTES + 3 * ANSWER_BYTES + repeated).unwrap();
             for (bytes, taken) in [(longest, true), (longest + 1, false)] {
-                let asked = Asked::default();
+                let asked = SharedAllowance::default();
                 asked.note(&message, 100);
                 assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken, "{message:?}");
             }

@@ -14,7 +14,7 @@ mod tcp;
 use std::sync::Arc;
 use std::time::Duration;
 
-pub(crate) use budget::{Asked, Budget};
+pub(crate) use budget::{Budget, SharedAllowance};
 #[cfg(not(feature = "zenoh"))]
 pub use by_key::NOT_BUILT;
 pub use by_key::Network;
@@ -129,7 +129,7 @@ struct Peer {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OfRobot {
     /// How much the robot may still send, on all its links together.
-    pub(crate) asked: Asked,
+    pub(crate) asked: SharedAllowance,
     /// The scripts that this robot and others receive.
     pub(crate) shared: SharedScripts,
     pub(crate) long_upload: LongUpload,
@@ -165,13 +165,16 @@ impl Link {
         events: mpsc::Sender<Happened>,
         after: Duration,
     ) -> Self {
-        Self::carrying(of, (endpoint, OfRobot::default()), clock, Events::Plain(events), after)
+        let (robot, number) = of;
+        let sink = EventSink { robot, link: Some(number), clock, events: Events::Plain(events) };
+        Self::carrying(sink, endpoint, OfRobot::default(), after)
     }
 
     /// Like [`Link::open`], but limits the queue places that the link's events occupy, so that events of other links have room.
     pub(crate) fn open_beside_others(
         of: (RobotIndex, LinkNumber),
-        (endpoint, of_robot): (Endpoint, OfRobot),
+        endpoint: Endpoint,
+        of_robot: OfRobot,
         clock: ServerClock,
         events: mpsc::Sender<Waiting>,
         after: Duration,
@@ -179,20 +182,15 @@ impl Link {
         // A robot in this process is trusted, and its host stores the waiting messages.
         let places =
             (!matches!(endpoint, Endpoint::InProcess { .. })).then(|| Arc::new(Semaphore::new(PLACES)));
-        Self::carrying(of, (endpoint, of_robot), clock, Events::Placed(events, places), after)
+        let (robot, number) = of;
+        let sink = EventSink { robot, link: Some(number), clock, events: Events::Placed(events, places) };
+        Self::carrying(sink, endpoint, of_robot, after)
     }
 
-    fn carrying(
-        (robot, number): (RobotIndex, LinkNumber),
-        (endpoint, of): (Endpoint, OfRobot),
-        clock: ServerClock,
-        events: Events,
-        after: Duration,
-    ) -> Self {
+    fn carrying(sink: EventSink, endpoint: Endpoint, of: OfRobot, after: Duration) -> Self {
         let (outgoing, queue) = mpsc::channel(OUTGOING_MAX);
         let (urgent, first) = mpsc::unbounded_channel();
         let queue = Queue { outgoing: queue, urgent: first };
-        let sink = EventSink { robot, link: Some(number), clock, events };
         // The task ends when its link breaks or when `outgoing` is dropped, whichever happens first.
         let task = tokio::spawn(async move {
             if !after.is_zero() {

@@ -108,7 +108,7 @@ pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Resul
 pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option<Text> {
     let Either::Right(stream) = writer else { return None };
     let text = || serde_json::to_vec(script).unwrap_or_default();
-    stream.offer((audience, Command::Script(script.clone()).content_hash()), text)
+    stream.offer(audience, Command::Script(script.clone()).content_hash(), text)
 }
 
 /// Publishes a script once for an audience, a set of robots, and returns the published text. Without Zenoh, always returns `None`, so the

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use downbeat_robot::sealed::{self, Held, NotSealed, Passes, Refused, Sealed};
-use downbeat_robot::tls::{Credentials, Identity, Name, Revoked, SERVER_NAME, client_config};
+use downbeat_robot::tls::{Credentials, Identity, List, Name, Revoked, SERVER_NAME, client_config};
 use downbeat_scripts::{Fleet, Protection};
 use rustls::ClientConfig;
 use rustls::pki_types::ServerName;
@@ -31,6 +31,7 @@ pub(crate) type BareWriteEnd =
 pub struct Site {
     config: Option<Arc<ClientConfig>>,
     identity: Option<Identity>,
+    list: Option<Arc<List>>,
     passes: Arc<Passes>,
     zenoh: Arc<OfSite>,
 }
@@ -81,13 +82,21 @@ impl Site {
         let passes = if passes.exists() { Passes::read(&passes) } else { Ok(Passes::default()) };
         let passes = Arc::new(passes.map_err(|error| error.to_string())?);
         let identity = Some(own.identity().clone());
-        Ok(Self { config: Some(Arc::new(config)), identity, passes, ..Self::default() })
+        let list = list.map(Arc::new);
+        Ok(Self { config: Some(Arc::new(config)), identity, list, passes, ..Self::default() })
     }
 
     /// The operator's identity. `None` without an identity file.
     #[must_use]
     pub const fn identity(&self) -> Option<&Identity> {
         self.identity.as_ref()
+    }
+
+    /// Whether another authority replaces the one that issued the operator's certificate.
+    #[must_use]
+    pub fn is_of_replaced_authority(&self) -> bool {
+        let identity = self.identity.as_ref().zip(self.list.as_ref());
+        identity.is_some_and(|(identity, list)| list.replaces(&identity.authority))
     }
 
     /// The operator's passes for robots with a secret.
@@ -104,7 +113,7 @@ impl Site {
             (Protection::Open, _) => Security::Plain,
             (_, None) => Security::Nameless,
             (Protection::Tls, Some(config)) => {
-                Security::Tls(Arc::new(Tls { config: Arc::clone(config), robot }))
+                Security::Tls(Arc::new(Tls { config: Arc::clone(config), list: self.list.clone(), robot }))
             }
             (Protection::Hmac, Some(_)) => {
                 Security::Hmac(Arc::new(Hmac { passes: Arc::clone(&self.passes), robot }))
@@ -185,6 +194,7 @@ impl Hmac {
 #[derive(Debug)]
 pub struct Tls {
     config: Arc<ClientConfig>,
+    list: Option<Arc<List>>,
     /// The robot that the certificate must name. `None` for any robot of the authority.
     robot: Option<RobotId>,
 }
@@ -221,7 +231,7 @@ pub(crate) async fn secured(
             let (reader, writer) = tokio::io::split(hmac.connect(stream).await?);
             return Ok((
                 (Either::Right(Either::Right(reader)), Either::Right(Either::Right(writer))),
-                Some(Met { until: None }),
+                Some(Met { until: None, is_of_replaced_authority: false }),
             ));
         }
         Security::Tls(tls) => tls,
@@ -237,9 +247,10 @@ pub(crate) async fn secured(
         return Err(denied(format!("its certificate belongs to {}, expected robot {robot}", met.name)));
     }
     let (reader, writer) = tokio::io::split(stream);
+    let is_of_replaced_authority = tls.list.as_ref().is_some_and(|list| list.replaces(&met.authority));
     Ok((
         (Either::Right(Either::Left(reader)), Either::Right(Either::Left(writer))),
-        Some(Met { until: Some(met.expires) }),
+        Some(Met { until: Some(met.expires), is_of_replaced_authority }),
     ))
 }
 
@@ -257,7 +268,7 @@ pub fn denial(error: &io::Error) -> Option<String> {
     }
     let why = match inner.downcast_ref::<Error>()? {
         Error::InvalidCertificate(Certificate::UnknownIssuer | Certificate::BadSignature) => {
-            "the robot's certificate was issued by a different authority than yours"
+            "the robot's certificate was issued by a different authority than yours: if the authority was replaced, use its latest `revoked.pem`"
         }
         Error::InvalidCertificate(Certificate::Expired | Certificate::ExpiredContext { .. }) => {
             "the robot's certificate has expired: create a new one with `downbeat keys renew`"
@@ -265,7 +276,7 @@ pub fn denial(error: &io::Error) -> Option<String> {
         Error::InvalidCertificate(Certificate::Revoked) => "the robot's certificate is revoked",
         Error::InvalidMessage(_) => "the program at this address does not use TLS",
         Error::AlertReceived(Alert::UnknownCA | Alert::DecryptError) => {
-            "the robot trusts a different authority than yours"
+            "the robot trusts a different authority than yours: if the authority was replaced, renew your key, and send the robot the latest list with `downbeat keys push`"
         }
         Error::AlertReceived(Alert::CertificateExpired) => {
             "your certificate has expired: create a new one with `downbeat keys renew`"
@@ -280,6 +291,8 @@ pub fn denial(error: &io::Error) -> Option<String> {
 pub(crate) struct Met {
     /// When the robot's certificate expires, in seconds since 1970, UTC. `None` if it authenticated without a certificate.
     pub(crate) until: Option<i64>,
+    /// Whether another authority replaces the one that issued the robot's certificate.
+    pub(crate) is_of_replaced_authority: bool,
 }
 
 /// This side denied access, for the contained reason.

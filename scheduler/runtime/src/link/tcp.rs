@@ -45,7 +45,8 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
     };
     if let Some(met) = met {
         let until = met.until.map(|until| Timestamp::from_nanos(until.saturating_mul(1_000_000_000)));
-        sink.put(Event::Proven { robot: sink.robot, until }).await;
+        let is_of_replaced_authority = met.is_of_replaced_authority;
+        sink.put(Event::Proven { robot: sink.robot, until, is_of_replaced_authority }).await;
     }
     sink.up().await;
     let reason = tokio::select! {

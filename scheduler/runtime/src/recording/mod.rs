@@ -14,8 +14,8 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use urrcp::{
-    Command, ControlRequest, ControlResponse, ControlType, Message, RequestId, Robot, RobotId, Server, Span,
-    Status, StatusValue, Timestamp,
+    Command, ControlRequest, ControlResponse, ControlType, Message, RequestId, RobotId, Server, Span, Status,
+    StatusValue, Timestamp,
 };
 
 use crate::journal::VERSION;
@@ -82,7 +82,7 @@ impl std::fmt::Debug for Recording {
 
 /// The kind of a topic. It determines the JSON Schema of the topic's messages.
 #[derive(Clone, Copy)]
-enum Kind {
+enum TopicKind {
     Message,
     Value,
     Clock,
@@ -90,7 +90,7 @@ enum Kind {
     Progress,
 }
 
-impl Kind {
+impl TopicKind {
     const fn name(self) -> &'static str {
         match self {
             Self::Message => "urrcp.Message",
@@ -178,7 +178,7 @@ impl Recording {
     /// Records a message sent to a robot. The key of the session is omitted from the message.
     pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: Message) {
         let message = session::without_key(message);
-        self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, &message);
+        self.put(&format!("/robots/{robot}/requests"), TopicKind::Message, at, at, &message);
         if let Message::ControlRequest(request) = &message {
             self.planned(at, robot, request);
         }
@@ -194,62 +194,65 @@ impl Recording {
                 control_type: step.setpoint.control_type,
                 request_id: request.request_id.clone(),
             };
-            self.put(&topic, Kind::Value, start + step.offset.span(), at, &value);
+            self.put(&topic, TopicKind::Value, start + step.offset.span(), at, &value);
         }
     }
 
     /// Records a message received from a robot.
     pub fn received(&mut self, at: Timestamp<Server>, robot: &RobotId, message: &Message) {
-        self.put(&format!("/robots/{robot}/responses"), Kind::Message, at, at, message);
+        self.put(&format!("/robots/{robot}/responses"), TopicKind::Message, at, at, message);
         match message {
             Message::AvailabilityResponse(answer) => {
-                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
-                self.clock(at, robot, times);
+                let (sent, received) = (answer.originate_timestamp, answer.receive_timestamp);
+                let sample =
+                    sent.map(|sent| ClockSample::from_exchange(sent, received, answer.timestamp, at));
+                self.clock(at, robot, sample);
             }
             Message::InquiryResponse(answer) => {
-                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
-                self.clock(at, robot, times);
+                let (sent, received) = (answer.originate_timestamp, answer.receive_timestamp);
+                let sample =
+                    sent.map(|sent| ClockSample::from_exchange(sent, received, answer.timestamp, at));
+                self.clock(at, robot, sample);
             }
             Message::ControlResponse(response) => self.reported(at, robot, response),
             _ => {}
         }
     }
 
-    /// Records a measurement of the robot's clock. It uses the times stated in a response: when the request was sent and received, and
-    /// when the response was sent.
-    fn clock(
-        &mut self,
-        at: Timestamp<Server>,
-        robot: &RobotId,
-        (sent, received, answered): (Option<Timestamp<Server>>, Timestamp<Robot>, Timestamp<Robot>),
-    ) {
-        let Some(sent) = sent else { return };
-        let sample = ClockSample::from_exchange(sent, received, answered, at);
+    /// Records a measurement of the robot's clock. `None` if the response does not state when its request was sent.
+    fn clock(&mut self, at: Timestamp<Server>, robot: &RobotId, sample: Option<ClockSample>) {
+        let Some(sample) = sample else { return };
         let value = ClockOffset { offset: sample.offset, delay: sample.delay };
-        self.put(&format!("/robots/{robot}/clock"), Kind::Clock, at, at, &value);
+        self.put(&format!("/robots/{robot}/clock"), TopicKind::Clock, at, at, &value);
     }
 
     fn reported(&mut self, at: Timestamp<Server>, robot: &RobotId, response: &ControlResponse) {
         let StatusValue::Number(value) = response.status_value else { return };
         let value =
             ReportedValue { value, status: response.status.clone(), request_id: response.request_id.clone() };
-        self.put(&format!("/robots/{robot}/{}/reported", response.device_id), Kind::Value, at, at, &value);
+        self.put(
+            &format!("/robots/{robot}/{}/reported", response.device_id),
+            TopicKind::Value,
+            at,
+            at,
+            &value,
+        );
     }
 
     /// Records an entry that the mission writes to its journal.
     pub fn record(&mut self, at: Timestamp<Server>, record: &Record) {
-        self.put("/mission/decisions", Kind::Record, at, at, record);
+        self.put("/mission/decisions", TopicKind::Record, at, at, record);
     }
 
     /// Records a progress report to the operator.
     pub fn progress(&mut self, at: Timestamp<Server>, progress: &Progress) {
-        self.put("/mission/progress", Kind::Progress, at, at, progress);
+        self.put("/mission/progress", TopicKind::Progress, at, at, progress);
     }
 
     fn put(
         &mut self,
         topic: &str,
-        kind: Kind,
+        kind: TopicKind,
         log: Timestamp<Server>,
         published: Timestamp<Server>,
         value: &impl Serialize,
@@ -265,7 +268,7 @@ impl Recording {
     fn try_put(
         &mut self,
         topic: &str,
-        kind: Kind,
+        kind: TopicKind,
         log: Timestamp<Server>,
         published: Timestamp<Server>,
         value: &impl Serialize,

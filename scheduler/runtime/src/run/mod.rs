@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use urrcp::{Server, Timestamp};
 
 use self::watch::Watches;
-use self::world::RealWorld;
+use self::world::{Reached, RealWorld};
 use crate::journal::Journal;
 use crate::link::{Endpoint, SharedScripts};
 use crate::recording::Recorder;
@@ -61,8 +61,8 @@ pub async fn run_and_keep(
         devices: mission.moved_by_another().collect(),
     };
     let shared = SharedScripts::of(&mission, &endpoints);
-    let mut world =
-        RealWorld::new((endpoints, shared, before), ids, clock, operator, tell, std::mem::take(keep));
+    let robots = Reached { ids, endpoints, shared, before };
+    let mut world = RealWorld::new(robots, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     keep.watches.each(|watch| watch.ended(clock.now(), &mission));

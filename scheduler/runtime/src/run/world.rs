@@ -10,7 +10,7 @@ use urrcp::{Message, RobotId, Server, Span, Timestamp};
 use super::Keep;
 use super::watch::Watches;
 use crate::journal::{Journal, News, Writer};
-use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
+use crate::link::{Endpoint, Link, OfRobot, SharedAllowance, SharedScripts, Waiting};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Operator, Passage, StopLane};
@@ -52,15 +52,24 @@ enum FileJournal {
     Lost(String),
 }
 
+/// The robots of a mission, in its order, and how they are reached.
+pub(super) struct Reached {
+    pub(super) ids: Vec<RobotId>,
+    pub(super) endpoints: Vec<Endpoint>,
+    /// The scripts that each robot and others receive.
+    pub(super) shared: Vec<SharedScripts>,
+    pub(super) before: Before,
+}
+
 impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
     pub(super) fn new(
-        (endpoints, shared, before): (Vec<Endpoint>, Vec<SharedScripts>, Before),
-        ids: Vec<RobotId>,
+        robots: Reached,
         clock: ServerClock,
         operator: mpsc::Receiver<Operator>,
         tell: T,
         keep: Keep,
     ) -> Self {
+        let Reached { ids, endpoints, shared, before } = robots;
         let (events, happened) = mpsc::channel(EVENTS_MAX);
         let mut stop_lane = keep.stop_lane;
         if let Some(lane) = &mut stop_lane {
@@ -193,9 +202,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span) {
-        let endpoint = (self.endpoints[robot.get()].clone(), self.of_robots[robot.get()].clone());
-        let events = self.events.clone();
-        let link = Link::open_beside_others((robot, link), endpoint, self.clock, events, after.to_duration());
+        let (endpoint, of_robot) = (self.endpoints[robot.get()].clone(), self.of_robots[robot.get()].clone());
+        let (of, events, after) = ((robot, link), self.events.clone(), after.to_duration());
+        let link = Link::open_beside_others(of, endpoint, of_robot, self.clock, events, after);
         if let Some(lane) = &self.stop_lane {
             lane.links(robot, &link);
         }
@@ -241,7 +250,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
                 if record.is_durable() {
                     self.watches.each(|watch| watch.filed(at));
                 }
-                writer.write(at, record).map_or_else(Filed::Lost, |()| Filed::Waiting)
+                match writer.write(at, record) {
+                    Ok(()) => Filed::Waiting,
+                    Err(error) => Filed::Lost(error.to_string()),
+                }
             }
         }
     }
@@ -265,7 +277,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 /// Returns the shared state of each robot. A robot may still report on scripts that another process has sent to some of its devices.
 fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     let of = |(robot, shared): (usize, SharedScripts)| {
-        let asked = Asked::default();
+        let asked = SharedAllowance::default();
         asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
         OfRobot { asked, shared, ..OfRobot::default() }
     };

@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, over};
+use crate::link::{Budget, Endpoint, LinkEncoding, ReadEnd, SharedAllowance, WriteEnd, over};
 #[cfg(feature = "zenoh")]
 use crate::link::{Purpose, Reach};
 use crate::server_clock::ServerClock;
@@ -36,7 +36,7 @@ pub(super) struct Bytes {
     decoder: Decoder,
     bytes: Vec<u8>,
     clock: ServerClock,
-    asked: Asked,
+    asked: SharedAllowance,
     budget: Budget,
     /// Whether the last message was written only in part, so that the robot cannot decode further messages.
     torn: bool,
@@ -46,7 +46,8 @@ impl Connection {
     /// Connects to the robot. `known` is the robot's resolved address, so that a stop does not wait for a name server.
     pub(super) async fn open(
         endpoint: &Endpoint,
-        (clock, asked): (ServerClock, &Asked),
+        clock: ServerClock,
+        asked: &SharedAllowance,
         known: &mut Option<SocketAddr>,
     ) -> io::Result<Self> {
         match endpoint {
@@ -63,23 +64,25 @@ impl Connection {
                     *known = stream.peer_addr().ok();
                     over(stream, security).await
                 };
-                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                Ok(Self::of(ends, encoding, (clock, asked)))
+                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(reader, writer, encoding, clock, asked))
             }
             #[cfg(feature = "zenoh")]
             Endpoint::Zenoh { network, key, encoding } => {
                 let reach = Reach::Zenoh { network: network.clone(), key: key.clone() };
                 let connect = reach.connect(Purpose::Stop);
-                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                Ok(Self::of(ends, encoding, (clock, asked)))
+                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(reader, writer, encoding, clock, asked))
             }
         }
     }
 
     fn of(
-        (reader, writer): (ReadEnd, WriteEnd),
+        reader: ReadEnd,
+        writer: WriteEnd,
         encoding: &LinkEncoding,
-        (clock, asked): (ServerClock, &Asked),
+        clock: ServerClock,
+        asked: &SharedAllowance,
     ) -> Self {
         Self::Bytes(Box::new(Bytes {
             reader,

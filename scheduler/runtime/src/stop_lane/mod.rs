@@ -23,7 +23,7 @@ pub(crate) use self::sent::Passage;
 use self::sent::{Sent, SentScripts};
 use self::stopping::Guard;
 pub use self::words::{MissionOver, Operator, OperatorHandle};
-use crate::link::{Asked, Endpoint, Link, Waiting};
+use crate::link::{Endpoint, Link, SharedAllowance, Waiting};
 use crate::server_clock::ServerClock;
 pub use crate::signals::OnHangUp;
 use downbeat_mission::{Rest, RobotIndex};
@@ -151,7 +151,7 @@ impl StopLane {
                 robot: RobotIndex::new(robot),
                 endpoint: endpoint.clone(),
                 clock,
-                asked: Asked::default(),
+                asked: SharedAllowance::default(),
                 events: events.clone(),
                 sent: sent.subscribe(),
                 alarm: self.alarm.clone(),

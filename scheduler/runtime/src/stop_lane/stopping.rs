@@ -11,7 +11,7 @@ use urrcp::{ControlResponse, Message, RequestId, Status};
 use super::Alarm;
 use super::connection::Connection;
 use super::sent::Sent;
-use crate::link::{Asked, Endpoint, Waiting};
+use crate::link::{Endpoint, SharedAllowance, Waiting};
 use crate::server_clock::ServerClock;
 use downbeat_mission::drive::Happened;
 use downbeat_mission::{Event, Rest, RobotIndex, may_be_for_a_stop};
@@ -40,7 +40,7 @@ pub(super) struct Guard {
     pub(super) endpoint: Endpoint,
     pub(super) clock: ServerClock,
     /// How much the robot may send, given the requests that the lane has sent to it.
-    pub(super) asked: Asked,
+    pub(super) asked: SharedAllowance,
     pub(super) events: mpsc::Sender<Waiting>,
     pub(super) sent: watch::Receiver<Sent>,
     pub(super) alarm: watch::Receiver<Alarm>,
@@ -67,7 +67,7 @@ impl Guard {
             let opened = tokio::select! {
                 biased;
                 rest = &mut ringing => return (None, rest),
-                opened = Connection::open(&self.endpoint, (self.clock, &self.asked), known) => opened,
+                opened = Connection::open(&self.endpoint, self.clock, &self.asked, known) => opened,
             };
             match opened {
                 // A connection to a robot in this process cannot fail.
@@ -163,7 +163,7 @@ impl Guard {
     ) -> Attempt {
         let begun = match connection {
             Some(connection) => connection,
-            None => match Connection::open(&self.endpoint, (self.clock, &self.asked), known).await {
+            None => match Connection::open(&self.endpoint, self.clock, &self.asked, known).await {
                 Ok(opened) => connection.insert(opened),
                 Err(error) => return self.failed(&error, open),
             },

@@ -9,7 +9,7 @@ use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::Alarm;
-use crate::signals::{Asked, Signals, die_of};
+use crate::signals::{EndSignal, Signals, die_of};
 use downbeat_mission::Rest;
 
 /// Maximum time for final reports, once the operator has asked to leave at once or the mission is over. The process then ends.
@@ -149,7 +149,7 @@ pub(super) async fn hear(mut signals: Signals, voice: OperatorHandle) {
     }
 }
 
-async fn die_soon(asked: Asked) {
+async fn die_soon(asked: EndSignal) {
     tokio::time::sleep(LEAVES_WITHIN).await;
     die_of(asked);
 }
@@ -157,11 +157,11 @@ async fn die_soon(asked: Asked) {
 /// Returns the command that a signal stands for. Every signal stops the robots, but a Ctrl-C after another signal ends the program. Other
 /// second signals do not end it, because they may be sent unintentionally, for example when a terminal closes. While robots may be moving
 /// home, a Ctrl-C stops them first.
-const fn word_of(asked: Asked, before: Option<Asked>, goes_home: bool) -> Operator {
+const fn word_of(asked: EndSignal, before: Option<EndSignal>, goes_home: bool) -> Operator {
     match (before, asked) {
-        (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },
-        (Some(Asked::Home), _) => Operator::Stop { rest: Rest::InPlace, by: None },
-        (Some(_), Asked::Interrupt) if !goes_home => Operator::Leave,
+        (_, EndSignal::Home) => Operator::Stop { rest: Rest::Home, by: None },
+        (Some(EndSignal::Home), _) => Operator::Stop { rest: Rest::InPlace, by: None },
+        (Some(_), EndSignal::Interrupt) if !goes_home => Operator::Leave,
         _ => Operator::Stop { rest: Rest::InPlace, by: None },
     }
 }
@@ -173,21 +173,21 @@ mod tests {
     #[test]
     fn only_a_second_ctrl_c_exits() {
         let leaves = |asked, before| matches!(word_of(asked, before, false), Operator::Leave);
-        assert!(!leaves(Asked::Interrupt, None));
-        assert!(leaves(Asked::Interrupt, Some(Asked::Interrupt)));
-        assert!(!leaves(Asked::HangUp, Some(Asked::HangUp)));
-        assert!(!leaves(Asked::Terminate, Some(Asked::Interrupt)));
+        assert!(!leaves(EndSignal::Interrupt, None));
+        assert!(leaves(EndSignal::Interrupt, Some(EndSignal::Interrupt)));
+        assert!(!leaves(EndSignal::HangUp, Some(EndSignal::HangUp)));
+        assert!(!leaves(EndSignal::Terminate, Some(EndSignal::Interrupt)));
     }
 
     #[test]
     fn ctrl_c_stops_robots_going_home_before_the_next_one_exits() {
         let stops = |before, goes_home| {
-            let word = word_of(Asked::Interrupt, before, goes_home);
+            let word = word_of(EndSignal::Interrupt, before, goes_home);
             matches!(word, Operator::Stop { rest: Rest::InPlace, .. })
         };
-        assert!(stops(Some(Asked::Interrupt), true), "Ctrl-C, then the key H");
-        assert!(stops(Some(Asked::Home), false), "the signal for home has not reached the mission yet");
-        assert!(!stops(Some(Asked::Interrupt), false));
+        assert!(stops(Some(EndSignal::Interrupt), true), "Ctrl-C, then the key H");
+        assert!(stops(Some(EndSignal::Home), false), "the signal for home has not reached the mission yet");
+        assert!(!stops(Some(EndSignal::Interrupt), false));
     }
 
     #[test]

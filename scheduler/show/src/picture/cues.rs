@@ -37,6 +37,13 @@ struct Placed<'a> {
     label: Label,
 }
 
+/// A horizontal space, in pixels.
+#[derive(Clone, Copy)]
+struct Extent {
+    start: f64,
+    end: f64,
+}
+
 /// The cues of an act with their positions in the picture.
 pub(super) struct Cues<'a> {
     placed: Vec<Placed<'a>>,
@@ -53,7 +60,7 @@ impl<'a> Cues<'a> {
     }
 
     /// Places cues in the order of their starts, each in the first row that has room for it and its name.
-    fn in_rows(act: &'a Act, frame: &Frame, label: fn(&PlannedCue, (f64, f64), &Frame) -> Label) -> Self {
+    fn in_rows(act: &'a Act, frame: &Frame, label: fn(&PlannedCue, Extent, &Frame) -> Label) -> Self {
         let mut cues: Vec<_> = act.cues.iter().collect();
         cues.sort_by_key(|cue| cue.start);
         // The right end of the last cue of each row, in pixels.
@@ -63,7 +70,13 @@ impl<'a> Cues<'a> {
             let bar = bar_of(cue, frame);
             let label = label(cue, bar, frame);
             let row = row(&mut ends, extent(cue, bar, label));
-            placed.extend(row.map(|row| Placed { cue, row, x: bar.0, width: bar.1 - bar.0, label }));
+            placed.extend(row.map(|row| Placed {
+                cue,
+                row,
+                x: bar.start,
+                width: bar.end - bar.start,
+                label,
+            }));
         }
         let left_out = act.cues.len() - placed.len();
         Self { placed, rows: ends.len(), left_out }
@@ -112,45 +125,45 @@ impl Placed<'_> {
 }
 
 /// Returns the start and end of a cue's bar in pixels. The bar is at least wide enough to be visible.
-fn bar_of(cue: &PlannedCue, frame: &Frame) -> (f64, f64) {
+fn bar_of(cue: &PlannedCue, frame: &Frame) -> Extent {
     let [start, end] = [cue.start, cue.end].map(|at| frame.x(at.as_millis_f64()));
-    (start, end.max(start + 2.0))
+    Extent { start, end: end.max(start + 2.0) }
 }
 
 fn label_width(cue: &PlannedCue) -> f64 {
     within(&cue.name, LABEL_MAX).width() as f64 * COLUMN
 }
 
-fn label_of(cue: &PlannedCue, (start, end): (f64, f64), frame: &Frame) -> Label {
+fn label_of(cue: &PlannedCue, bar: Extent, frame: &Frame) -> Label {
     let width = label_width(cue) + 8.0;
-    match (width <= end - start, end + width <= frame.right()) {
+    match (width <= bar.end - bar.start, bar.end + width <= frame.right()) {
         (true, _) => Label::Within,
         (false, true) => Label::After,
         (false, false) => Label::Before,
     }
 }
 
-fn label_within(cue: &PlannedCue, bar: (f64, f64), frame: &Frame) -> Label {
+fn label_within(cue: &PlannedCue, bar: Extent, frame: &Frame) -> Label {
     match label_of(cue, bar, frame) {
         Label::Within => Label::Within,
         Label::After | Label::Before | Label::LeftOut => Label::LeftOut,
     }
 }
 
-/// Returns the start and end, in pixels, of the space that a cue and its name cover.
-fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64) {
+/// Returns the space that a cue and its name cover.
+fn extent(cue: &PlannedCue, bar: Extent, label: Label) -> Extent {
     let width = label_width(cue) + 4.0;
     match label {
-        Label::Within | Label::LeftOut => (start, end),
-        Label::After => (start, end + width),
-        Label::Before => (start - width, end),
+        Label::Within | Label::LeftOut => bar,
+        Label::After => Extent { end: bar.end + width, ..bar },
+        Label::Before => Extent { start: bar.start - width, ..bar },
     }
 }
 
-/// Reserves the space from `start` to `end`, in pixels, in the first row that has room for it, or else in a new row. Returns the index of
+/// Reserves a space in the first row that has room for it, or else in a new row. Returns the index of
 /// the row, or `None` if a new row would exceed the maximum number of rows.
-fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
-    let free = ends.iter().position(|before| before + GAP <= start);
+fn row(ends: &mut Vec<f64>, space: Extent) -> Option<usize> {
+    let free = ends.iter().position(|before| before + GAP <= space.start);
     let row = free.or_else(|| {
         ends.push(f64::NEG_INFINITY);
         Some(ends.len() - 1)
@@ -158,7 +171,7 @@ fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
     let row = row.filter(|row| *row < ROWS_MAX);
     ends.truncate(ROWS_MAX);
     if let Some(row) = row {
-        ends[row] = end;
+        ends[row] = space.end;
     }
     row
 }

@@ -13,7 +13,7 @@ const STYLE: &str = "text{font:12px sans-serif;fill:#222}.small,.name{font-size:
 .cue{fill:#cfe3f5;stroke:#2a6fb0;stroke-width:.6}.critical{fill:#ffd8a8;stroke:#a85a00;stroke-width:1.2}";
 
 /// Writes the start of the picture, with its title and the outcome of the act.
-pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, height): (f64, f64)) {
+pub(super) fn open(svg: &mut String, title: &str, played: &Played, width: f64, height: f64) {
     let spread = played.report.true_spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
     let _infallible = write!(
         svg,
@@ -27,7 +27,7 @@ pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, heigh
 }
 
 /// Draws the legend: a sample of each kind of drawing in the picture, with its meaning.
-pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
+pub(super) fn legend(svg: &mut String, y: f64, kinds: &[DrawingKind]) {
     let mut x = 14.0;
     for kind in kinds {
         let (sample, meaning, width) = kind.entry();
@@ -41,7 +41,7 @@ pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
 
 /// A kind of drawing that the legend explains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum DrawingKind {
     Cue,
     Critical,
     Planned,
@@ -49,7 +49,7 @@ pub(super) enum Kind {
     Set,
 }
 
-impl Kind {
+impl DrawingKind {
     /// Returns the entry of the legend for this kind: a sample in SVG, its meaning, and the width of both in pixels.
     const fn entry(self) -> (&'static str, &'static str, f64) {
         match self {
@@ -67,7 +67,7 @@ impl Kind {
 }
 
 /// Draws vertical lines at the ticks, from the upper ruler to the lower one.
-pub(super) fn grid(svg: &mut String, frame: &Frame, (top, bottom): (f64, f64)) {
+pub(super) fn grid(svg: &mut String, frame: &Frame, top: f64, bottom: f64) {
     for tick in &frame.ticks {
         let (x, label) = (LEFT + frame.offset(tick.millis), &tick.label);
         let _infallible = write!(

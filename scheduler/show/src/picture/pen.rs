@@ -33,8 +33,8 @@ impl Pen {
         pen.data
     }
 
-    fn write(&mut self, command: &str, (x, y): (f64, f64)) {
-        let to = (tenths(x), tenths(y));
+    fn write(&mut self, command: &str, point: (f64, f64)) {
+        let to = (tenths(point.0), tenths(point.1));
         let from = self.at.replace(to).unwrap_or_default();
         let (right, down) = (text(to.0 - from.0), text(to.1 - from.1));
         let command = if command == " " && right.starts_with('-') { "" } else { command };

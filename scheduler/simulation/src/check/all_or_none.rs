@@ -155,7 +155,8 @@ fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ti
 fn own_fault(
     facts: &Facts<'_>,
     robot: usize,
-    (from, until): (Timestamp<Server>, Timestamp<Server>),
+    from: Timestamp<Server>,
+    until: Timestamp<Server>,
     counts: impl Fn(&Hit) -> bool,
 ) -> Option<Cause> {
     let begins = |hit: &&Hit| hit.is_of(robot) && hit.from >= from && hit.from <= until;
@@ -164,9 +165,9 @@ fn own_fault(
 
 /// Returns the robot's own fault that made it miss its start, if any. The fault must begin within the window of the act.
 fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
-    let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
-    let silent_hardware = (window.0 - HARDWARE_SILENT, window.1);
-    let hardware = own_fault(facts, robot, silent_hardware, |hit| died_without_a_word(facts, hit));
+    let (from, until) = (act.doubtful_from(), latest_start(facts, act, robot)?);
+    let hardware =
+        own_fault(facts, robot, from - HARDWARE_SILENT, until, |hit| died_without_a_word(facts, hit));
     // The lease of a script with a later start must be renewed until then.
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
     let heard_in_time =
@@ -176,7 +177,7 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
         Cause::RobotCrash => known.is_none_or(|by| hit.from > by),
         cause => !(cause.is_of_link() && heard_in_time),
     };
-    let own = own_fault(facts, robot, window, counts);
+    let own = own_fault(facts, robot, from, until, counts);
     own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
 }
 
@@ -206,8 +207,8 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
     let (_, late) = early_and_late(facts, robot);
     let first = act.first_movement(robot)? + late;
     let dropped = facts.dropped[robot].filter(|at| *at >= act.promise.start && *at < first)?;
-    let before = (dropped - AWAITED, dropped);
-    own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
+    let from = dropped - AWAITED;
+    own_fault(facts, robot, from, dropped, |_| true).or_else(|| told_nobody(facts, robot, from, dropped))
 }
 
 /// Returns the excuse that the scheduler's process was not running when the robot sent its report. It applies only to robots that send
@@ -215,7 +216,8 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
 fn told_nobody(
     facts: &Facts<'_>,
     robot: usize,
-    (from, until): (Timestamp<Server>, Timestamp<Server>),
+    from: Timestamp<Server>,
+    until: Timestamp<Server>,
 ) -> Option<Cause> {
     let ended = |hit: &&Hit| hit.cause == Cause::SchedulerCrash && hit.overlaps(from, until);
     let found = facts.hits.iter().find(ended).filter(|_| !facts.counts_steps(robot));
@@ -235,7 +237,7 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
 /// not reach it in time.
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
-    let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
+    let set = own_fault(facts, robot, act.doubtful_from(), until, |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot));
     if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
         // The robot respects `pending_until`, and no inquiry has moved that limit. So it drops the script, regardless of its link and the
@@ -351,7 +353,7 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     let began = Timestamp::<Server>::from_nanos(first);
     let stopped_by = began - facts.drawn().delay.1;
     let unseen = |hit: &Hit| hit.cause == Cause::ClockSet && !facts.was_asked(robot, hit.from, stopped_by);
-    own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
+    own_fault(facts, robot, Timestamp::from_nanos(0), began, unseen)
 }
 
 /// The end of a pending lease, the send time of the inquiry that set this end, and the length of the lease. A script waits for its start

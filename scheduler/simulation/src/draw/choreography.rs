@@ -41,7 +41,7 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
             .iter()
             .filter_map(|robot| {
                 let absent = index > 0 && one_in(rng, 5);
-                (!absent).then(|| draw_robot_plan(rng, robot, (longest, show), stop_condition))
+                (!absent).then(|| draw_robot_plan(rng, robot, longest, show, stop_condition))
             })
             .collect();
         Plan { scenario: "soak".to_owned(), start_tolerance: tolerance, lead, stop_condition, robots }
@@ -120,14 +120,15 @@ fn draw_wait(rng: &mut Rng, robots: &[DrawnRobot], act: &mut Act, index: usize, 
 fn draw_robot_plan(
     rng: &mut Rng,
     robot: &DrawnRobot,
-    (longest, show): (usize, Show),
+    longest: usize,
+    show: Show,
     stop_condition: StopCondition,
 ) -> RobotPlan {
     let moves = |device: &&Device| device.available_control_types.limits(ControlType::Position).is_some();
     let devices: Vec<&Device> = robot.block.devices.iter().filter(moves).collect();
     let scripts = devices.into_iter().flat_map(|device| {
         let count = if one_in(rng, 3) { 1 } else { rng.usize(1..=longest) };
-        draw_scripts(rng, device, (count, show), stop_condition)
+        draw_scripts(rng, device, count, show, stop_condition)
     });
     RobotPlan { robot: robot.block.id.clone(), scripts: scripts.collect() }
 }
@@ -136,7 +137,8 @@ fn draw_robot_plan(
 fn draw_scripts(
     rng: &mut Rng,
     device: &Device,
-    (count, show): (usize, Show),
+    count: usize,
+    show: Show,
     stop_condition: StopCondition,
 ) -> Vec<DeviceScript> {
     let mut scripts = Vec::new();

@@ -1,4 +1,4 @@
-//! Draws missions that last for minutes or hours, while clocks drift. The durations are evenly distributed on a logarithmic scale. Some
+//! Draws missions that last for minutes, hours or days, while clocks drift. The durations are evenly distributed on a logarithmic scale. Some
 //! acts wait for a long time, others play for a long time. The leases are long, so that the scheduler queries each robot only once per
 //! second.
 
@@ -11,9 +11,25 @@ use super::unusual::move_script;
 use super::{Drawn, faults, millis, one_in};
 use downbeat_mission::ClockMode;
 
-/// The duration of the shortest mission of this kind in milliseconds, and the ratio of the longest duration to the shortest.
+/// The duration of the shortest mission of this kind in milliseconds.
 const SHORTEST: f64 = 60_000.0;
-const TIMES: f64 = 240.0;
+
+/// The longest missions that are drawn.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Longest {
+    FourHours,
+    TwoDays,
+}
+
+impl Longest {
+    const fn millis(self) -> f64 {
+        match self {
+            Self::FourHours => 4.0 * 3_600_000.0,
+            Self::TwoDays => 48.0 * 3_600_000.0,
+        }
+    }
+}
+
 /// Maximum total drift of a robot that follows NTP, in milliseconds, and its maximum rate in parts per million.
 const NTP_MAX_MS: f64 = 10.0;
 const NTP_MAX_PPM: f64 = 10.0;
@@ -21,9 +37,9 @@ const NTP_MAX_PPM: f64 = 10.0;
 /// The maximum start tolerance of long acts. Clocks drift beyond it within minutes.
 const TOLERANCE: Span = Span::from_millis(20);
 
-/// Makes a mission last for minutes or hours.
-pub(super) fn last_for_hours(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
-    let lasts = SHORTEST * TIMES.powf(rng.f64());
+/// Makes a mission last for at least a minute.
+pub(super) fn last_longer(rng: &mut Rng, mut drawn: Drawn, longest: Longest) -> Drawn {
+    let lasts = SHORTEST * (longest.millis() / SHORTEST).powf(rng.f64());
     let silence = f64::from(rng.u32(6_000..30_000));
     let running = Millis::new(silence).ok().filter(|_| !one_in(rng, 4));
     for act in &mut drawn.choreography.acts {

@@ -25,6 +25,7 @@ pub(crate) use choreography::{BEGINS_AT, BRIGHT};
 pub use faults::Fault;
 pub(crate) use fleet::stranger;
 pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
+use hours::Longest;
 pub use kind::FaultKind;
 pub use network::{DrawnDisk, Network};
 pub(crate) use sensors::shows_within;
@@ -104,10 +105,11 @@ pub(crate) const RATES: u64 = 40;
 /// Family of missions in which acts wait for a time of day around a clock change.
 pub(crate) const TIMES: u64 = 30;
 
-/// Family of missions that last for hours. Only one in ten seeds with this remainder belongs to it, because each takes as long to
-/// simulate as hundreds of others.
+/// Family of missions that last for hours or days. Only one in ten seeds with this remainder lasts for hours, and one in a hundred for
+/// days, because each takes as long to simulate as hundreds or thousands of others.
 const HOURS: u64 = 29;
 const HOURS_ONE_IN: u64 = 10;
+const DAYS_ONE_IN: u64 = 100;
 
 /// Family of missions in which sensors show the positions of devices that follow their commands with a lag.
 pub(crate) const SENSORS: u64 = 21;
@@ -140,7 +142,12 @@ pub fn draw(seed: u64) -> Drawn {
         STAGED => staged::stage_faults(rng, drawn, seed / FAMILIES),
         RATES => rates::drive_by_rates(rng, drawn),
         TIMES => times::wait_for_times(rng, drawn),
-        HOURS if (seed / FAMILIES).is_multiple_of(HOURS_ONE_IN) => hours::last_for_hours(rng, drawn),
+        HOURS if (seed / FAMILIES).is_multiple_of(DAYS_ONE_IN) => {
+            hours::last_longer(rng, drawn, Longest::TwoDays)
+        }
+        HOURS if (seed / FAMILIES).is_multiple_of(HOURS_ONE_IN) => {
+            hours::last_longer(rng, drawn, Longest::FourHours)
+        }
         SENSORS => sensors::show_positions(rng, drawn),
         _ if seed % TWINS_EVERY == TWINS => twins::answer_by_twins(rng, drawn, seed / TWINS_EVERY),
         _ => drawn,

@@ -74,7 +74,7 @@ impl World {
                 let end = there.max(side.path.block(Direction::FromRobot, now + lasts));
                 if let Some(link) = side.link.filter(|_| breaks) {
                     self.kernel.put(end, Item::RobotLinkDown { robot, link });
-                    self.link_breaks(robot, link, end, (Loss::Unreachable, "connection timed out"));
+                    self.link_breaks(robot, link, end, Loss::Unreachable, "connection timed out");
                 }
             }
             Fault::OneWay { robot, way, lasts } => {

@@ -121,7 +121,7 @@ struct World {
     lasts_until: Timestamp<Server>,
     happens_max: usize,
     /// Whether to keep every message, for a trace.
-    verbose: bool,
+    detail: HistoryDetail,
 }
 
 fn session() -> Option<SessionId> {
@@ -152,14 +152,23 @@ fn participants(drawn: &Drawn) -> Vec<Participant> {
     drawn.robots.iter().map(participant).collect()
 }
 
+/// The events that a history contains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum HistoryDetail {
+    /// The events that the checks need.
+    Checks,
+    /// All events, for a trace.
+    Trace,
+}
+
 /// Plays a drawn mission to its end.
-pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
-    play_world(World::new(drawn, verbose))
+pub(super) fn play(drawn: Drawn, history: HistoryDetail) -> Ran {
+    play_world(World::new(drawn, history))
 }
 
 /// Plays a drawn mission until the act with the number `act` is promised.
 pub(super) fn play_up_to(drawn: Drawn, act: ActNumber) -> Ran {
-    play_world(World { last_act: Some(act), ..World::new(drawn, false) })
+    play_world(World { last_act: Some(act), ..World::new(drawn, HistoryDetail::Checks) })
 }
 
 fn play_world(mut world: World) -> Ran {
@@ -220,7 +229,7 @@ fn text_of(panic: &(dyn Any + Send)) -> String {
 }
 
 impl World {
-    fn new(drawn: Drawn, verbose: bool) -> Self {
+    fn new(drawn: Drawn, detail: HistoryDetail) -> Self {
         let lasts = drawn.lasts();
         let seconds = usize::try_from(lasts.as_nanos() / 1_000_000_000).unwrap_or(0);
         let mut rng = Rng::with_seed(drawn.seed ^ 0x5eed);
@@ -244,7 +253,7 @@ impl World {
             history: Vec::new(),
             lasts_until: BEGIN + LASTS_MAX + lasts * 2,
             happens_max: HAPPENS_MAX + seconds * drawn.robots.len() * HAPPENS_A_SECOND,
-            verbose,
+            detail,
             drawn,
         };
         for (at, fault) in world.drawn.faults.clone() {

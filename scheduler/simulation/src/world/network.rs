@@ -4,7 +4,7 @@ use downbeat_robot::{Input, LinkId};
 use fastrand::Rng;
 use urrcp::{Command, ControlRequest, Inquiry, Message, Server, Span, Timestamp};
 
-use super::{BEGIN, CONNECT_FAILS, Item, Machine, World};
+use super::{BEGIN, CONNECT_FAILS, HistoryDetail, Item, Machine, World};
 use crate::{Connections, Direction, Drawn, DrawnRobot, Happened, Lie, Network};
 use downbeat_fleet::world::{Between, Delay, LinkWorld};
 use downbeat_mission::{Event, Loss};
@@ -71,7 +71,7 @@ impl World {
             return self.kernel.put(later, Item::ToRobot { robot, link, message: Box::new(message) });
         }
         let forgets = self.drawn.robots[robot].lie == Some(Lie::NeverMoves);
-        if self.verbose {
+        if self.detail == HistoryDetail::Trace {
             self.note(Happened::AtRobot(robot, message.clone()));
         } else if !forgets {
             self.note(Happened::AtRobot(robot, brief(&message)));
@@ -89,7 +89,7 @@ impl World {
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
-            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, Loss::Closed, "connection reset");
         }
     }
 
@@ -104,7 +104,7 @@ impl World {
     }
 
     pub(super) fn send_to_robot(&mut self, robot: usize, link: LinkId, message: Message) {
-        if self.verbose {
+        if self.detail == HistoryDetail::Trace {
             self.note(Happened::ToRobot(robot, message.clone()));
         }
         if self.is_dead(robot, link) {
@@ -130,7 +130,8 @@ impl World {
         robot: usize,
         link: LinkId,
         at: Timestamp<Server>,
-        (loss, reason): (Loss, &str),
+        loss: Loss,
+        reason: &str,
     ) {
         if self.robots[robot].dead.contains(&link) {
             return;
@@ -146,7 +147,7 @@ impl World {
             return;
         }
         for link in std::mem::take(&mut self.robots[robot].dead) {
-            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, Loss::Closed, "connection reset");
             self.robot_link_down(robot, link);
         }
     }

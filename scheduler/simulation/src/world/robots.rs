@@ -170,7 +170,8 @@ impl World {
                     robot,
                     link,
                     self.kernel.now,
-                    (Loss::Closed, "the robot closed the connection"),
+                    Loss::Closed,
+                    "the robot closed the connection",
                 );
             }
         }
@@ -210,7 +211,7 @@ impl World {
         let now = self.kernel.now;
         for link in links.into_iter().flatten() {
             itself.receive(now.assume_clock(), link, Input::LinkDown);
-            self.link_breaks(robot, link, now, (Loss::Closed, "the robot closed the connection"));
+            self.link_breaks(robot, link, now, Loss::Closed, "the robot closed the connection");
         }
         self.kernel.robots.begin(self.hidden(robot), itself);
         let block = self.drawn.robots[robot].block.clone();

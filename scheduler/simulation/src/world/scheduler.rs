@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::{BEGIN, Item, World, options, participants, session};
+use super::{BEGIN, HistoryDetail, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
@@ -15,7 +15,7 @@ use downbeat_mission::{
 use downbeat_rehearsal::world::Virtual;
 use downbeat_runtime::journal::simulated::SimulatedDisk;
 use downbeat_runtime::journal::{
-    Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
+    Contents, Journal, Opened, OpenedKeys, OpenedRobot, OperatorChoices, WAITING_MAX, append_all,
 };
 
 /// State of the scheduler's process.
@@ -106,7 +106,7 @@ impl Scheduler {
             fleet: "soak".into(),
             folder: None,
             project: None,
-            asked: Asked::default(),
+            asked: OperatorChoices::default(),
             plan_hash: None,
             fixed: downbeat_mission::FixedStarts::default(),
             greeting: Greeting::Full,
@@ -377,7 +377,7 @@ impl World {
         let Some(journal) = &mut side.journal else { return };
         let (disk, event) = match journal.sync() {
             Ok(count) => (DiskState::Idle, Event::Recorded { count }),
-            Err(reason) => (DiskState::Lost, Event::JournalLost { reason }),
+            Err(broken) => (DiskState::Lost, Event::JournalLost { reason: broken.to_string() }),
         };
         side.disk = disk;
         self.tell(event);
@@ -399,7 +399,7 @@ impl World {
             Event::LinkUp { robot } => self.note(Happened::LinkUp(robot.get())),
             Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(robot.get())),
             Event::Received { robot, message } => {
-                let message = self.verbose.then(|| message.clone());
+                let message = (self.detail == HistoryDetail::Trace).then(|| message.clone());
                 self.note(Happened::FromRobot(robot.get(), message));
             }
             _ => {}
@@ -511,7 +511,7 @@ impl drive::World for World {
         }
         self.hears(&progress);
         let often = matches!(progress, Progress::Heard { .. } | Progress::Reading { .. });
-        if self.verbose || !often {
+        if self.detail == HistoryDetail::Trace || !often {
             self.note(Happened::Told(Box::new(progress)));
         }
     }

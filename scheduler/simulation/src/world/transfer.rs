@@ -26,7 +26,9 @@ impl Planner {
 
     fn script(
         &self,
-        (robot, device, from): (&RobotId, &DeviceId, f64),
+        robot: &RobotId,
+        device: &DeviceId,
+        from: f64,
         firsts: Option<&Firsts<'_>>,
         stop_condition: StopCondition,
     ) -> Option<DeviceScript> {
@@ -74,7 +76,7 @@ impl PlanTransfer for Planner {
         let stop_condition = like.plan.stop_condition;
         let robots = from.iter().map(|(robot, devices)| {
             let script = |(device, from): (&DeviceId, &f64)| {
-                self.script((robot, device, *from), firsts.as_ref(), stop_condition)
+                self.script(robot, device, *from, firsts.as_ref(), stop_condition)
             };
             RobotPlan { robot: robot.clone(), scripts: devices.iter().filter_map(script).collect() }
         });

@@ -25,7 +25,7 @@ use self::painter::{Colours, Painter};
 use super::{Format, console};
 use crate::mission::Progress;
 use crate::server_clock::ServerClock;
-use crate::show::{Detail, UNBOUNDED, preflight_table, preflight_warnings};
+use crate::show::{Detail, PreflightDetails, UNBOUNDED, preflight_table, preflight_warnings};
 
 /// The data that the output thread draws.
 struct Scene {
@@ -94,7 +94,7 @@ impl Live {
         let Some(preflight) = lines::table_worth_showing(progress) else { return };
         if console::detail() == Detail::Full {
             let columns = terminal::size().map_or(UNBOUNDED, |(columns, _)| usize::from(columns));
-            console::note_block(&preflight_table(preflight, false, columns));
+            console::note_block(&preflight_table(preflight, PreflightDetails::Hidden, columns));
         } else {
             preflight_warnings(preflight).iter().for_each(|warning| console::note(warning));
         }

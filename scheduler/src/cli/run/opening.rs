@@ -49,10 +49,9 @@ async fn unless_stopped<T: Send + 'static>(
 
 /// Returns the data of a robot that the journal must contain, so that a stop needs only the journal.
 pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
-    let (init, limits) = match robot.address {
-        Address::Thrift { .. } | Address::Program { .. } => (robot.init.clone(), robot.limits.clone()),
-        Address::Tcp { .. } | Address::Zenoh { .. } | Address::Simulated => (None, BTreeMap::new()),
-    };
+    let is_driven = robot.address.is_driven() || matches!(robot.address, Address::Program { .. });
+    let (init, limits) =
+        if is_driven { (robot.init.clone(), robot.limits.clone()) } else { (None, BTreeMap::new()) };
     let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
     OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init, limits }
 }

@@ -91,7 +91,7 @@ pub(super) fn read(
         let from_value = from.as_ref().and_then(|at| findings.number(at, expected));
         let by_value = by.as_ref().and_then(|at| findings.number(at, expected));
         if let (Some(at), Some(by), Some(limits)) = (&by, by_value, &limits) {
-            movement(findings, at, (from_value, by), limits);
+            check_movement(findings, at, from_value, by, limits);
         }
         let sensor_delay = delay.and_then(|at| sensor_delay(findings, &at)).unwrap_or_default();
         let visible = visible
@@ -107,7 +107,7 @@ pub(super) fn read(
 
 /// Checks that the movement of a calibration is not 0 and stays within the limits of the device. If the start of the movement is not
 /// given, checks only its length.
-fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
+fn check_movement(findings: &mut Reader, at: &At<'_>, from: Option<f64>, by: f64, limits: &Limits) {
     let (least, largest) = (limits.min_value, limits.max_value);
     let within = least..=largest;
     let reached = from.and_then(|from| [from, from + by].into_iter().find(|end| !within.contains(end)));

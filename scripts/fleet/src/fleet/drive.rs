@@ -93,9 +93,10 @@ fn read_wheels(
         None if !needs_radius => SPEEDS.to_vec(),
         radius => turning(radius.flatten().unwrap_or(1.0)),
     };
-    let [left, right] =
-        [("left", keys.left), ("right", keys.right)].map(|key| signal(findings, at, key, &units, init));
-    let track = required(findings, at, ("track", keys.track)).and_then(|at| length(findings, &at));
+    let [left, right] = [("left", keys.left), ("right", keys.right)].map(|(name, key)| {
+        required(findings, at, name, key).and_then(|at| signal(findings, &at, &units, init))
+    });
+    let track = required(findings, at, "track", keys.track).and_then(|at| length(findings, &at));
     (radius != Some(None) && !needs_radius).then_some(Steering::Wheels {
         left: left?,
         right: right?,
@@ -136,12 +137,14 @@ fn read_twist(
             findings.add(Code::UnknownKey, key.key_place(), message, "`speed` and `turn`", hint);
         }
     }
-    let speed = signal(findings, at, ("speed", keys.speed), &SPEEDS, init);
-    let turn = signal(findings, at, ("turn", keys.turn), &TURNS, init);
+    let speed = required(findings, at, "speed", keys.speed);
+    let speed = speed.and_then(|at| signal(findings, &at, &SPEEDS, init));
+    let turn = required(findings, at, "turn", keys.turn);
+    let turn = turn.and_then(|at| signal(findings, &at, &TURNS, init));
     Some(Steering::Twist { speed: speed?, turn: turn? })
 }
 
-fn required<'a>(findings: &mut Reader, at: &At<'_>, (name, key): (&str, Option<At<'a>>)) -> Option<At<'a>> {
+fn required<'a>(findings: &mut Reader, at: &At<'_>, name: &str, key: Option<At<'a>>) -> Option<At<'a>> {
     if key.is_none() && !findings.is_miswritten(at, name) {
         let message = format!("the drive has no `{name}`");
         findings.add(Code::MissingKey, at.place(), message, format!("a key `{name}`"), None);
@@ -153,15 +156,13 @@ fn required<'a>(findings: &mut Reader, at: &At<'_>, (name, key): (&str, Option<A
 fn signal(
     findings: &mut Reader,
     at: &At<'_>,
-    key: (&str, Option<At<'_>>),
     units: &[(&str, f64)],
     init: &InitializationBlock,
 ) -> Option<Coordinate> {
-    let at = required(findings, at, key)?;
     let Node::Map(_) = at.node else {
-        findings.text(&at, "a device, or a map with a device")?;
-        return of_device(findings, &at, [None; 2], init, units);
+        findings.text(at, "a device, or a map with a device")?;
+        return of_device(findings, at, [None; 2], init, units);
     };
-    let SignalKeys { device, scale } = findings.keys(&at, "a signal")?;
+    let SignalKeys { device, scale } = findings.keys(at, "a signal")?;
     of_device(findings, &device?, [scale, None], init, units)
 }

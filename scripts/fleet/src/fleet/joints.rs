@@ -101,7 +101,7 @@ fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &Initializ
         Node::Text(text) => Some(text.clone()),
         _ => None,
     });
-    let value = read_value(findings, at, &keys, (kind.unwrap_or_default(), &what), init);
+    let value = read_value(findings, at, &keys, kind.unwrap_or_default(), &what, init);
     let axis = keys.axis.and_then(|at| read_axis(findings, &at));
     let place = "the position of the joint in the frame of the previous link, in metres, such as [0, 0, 0.4]";
     let xyz = keys.at.map_or(Some([0.0; 3]), |at| vector(findings, &at, place));
@@ -124,7 +124,8 @@ fn read_value(
     findings: &mut Reader,
     at: &At<'_>,
     keys: &JointKeys<'_>,
-    (kind, what): (JointKind, &str),
+    kind: JointKind,
+    what: &str,
     init: &InitializationBlock,
 ) -> Option<Coordinate> {
     let units: &[(&str, f64)] = match kind {

@@ -8,7 +8,7 @@ use super::EXPECTED;
 use super::keys::{self, Level};
 use downbeat_reader::fields::Reader;
 use downbeat_yaml::composed::composed;
-use downbeat_yaml::finding::{Code, Finding, Part, Place, did_you_mean_this};
+use downbeat_yaml::finding::{Code, Finding, PathStep, Place, did_you_mean_this};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::render::counted;
 use downbeat_yaml::shown::shortened;
@@ -46,7 +46,7 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     );
     let place = Place::default().of_key("devices");
     for (index, device) in devices.iter().enumerate() {
-        let place = place.below(Part::Index(index));
+        let place = place.below(PathStep::Index(index));
         match device {
             Value::Mapping(device) => of_device(&mut findings, &place, device),
             other => {
@@ -119,7 +119,7 @@ fn of_ids(findings: &mut Reader, place: &Place, devices: &[Value]) {
     }
     for (id, places) in known.iter().filter(|(_, places)| places.len() > 1) {
         let message = format!("{} have the same id `{}`", counted(places.len(), "device"), shortened(id));
-        let place = place.below(Part::Index(places[1])).of_key("id");
+        let place = place.below(PathStep::Index(places[1])).of_key("id");
         let hint = Some("rename or remove the duplicates".to_owned());
         add(findings, place, message, "a unique id for each device", hint);
     }

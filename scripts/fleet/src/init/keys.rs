@@ -3,7 +3,7 @@
 use serde_yaml::{Mapping, Value};
 
 use downbeat_reader::fields::Reader;
-use downbeat_yaml::finding::{Code, Finding, Part, Place, did_you_mean, did_you_mean_this, one_of};
+use downbeat_yaml::finding::{Code, Finding, PathStep, Place, did_you_mean, did_you_mean_this, one_of};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
@@ -59,6 +59,7 @@ impl Level {
                 "script_queue",
                 "latency",
                 "latency_spread",
+                "channel",
                 "available_control_types",
             ],
             Self::ControlTypes => &["position", "speed", "acceleration", "script", "sensor"],
@@ -87,6 +88,11 @@ impl Level {
             Self::Custom => "under the control type",
         }
     }
+}
+
+/// Returns the keys of an initialization block itself.
+pub(super) const fn of_block() -> &'static [&'static str] {
+    Level::Block.keys()
 }
 
 /// Synonyms that users may write instead of a key: the kind of map, the synonyms, and the correct key. Synonyms for keys of
@@ -184,7 +190,7 @@ pub(super) fn ignored(source: &Source) -> Vec<Finding> {
     let devices = block.get("devices").and_then(Value::as_sequence).into_iter().flatten();
     for (index, device) in devices.enumerate() {
         let Value::Mapping(device) = device else { continue };
-        let place = Place::default().of_key("devices").below(Part::Index(index));
+        let place = Place::default().of_key("devices").below(PathStep::Index(index));
         check(&mut findings, Level::Device, &place, device);
         let Some(Value::Mapping(types)) = device.get("available_control_types") else { continue };
         let place = place.of_key("available_control_types");

@@ -213,3 +213,14 @@ fn deeply_nested_description_is_refused_at_once() {
     // Without the limit, this takes hours.
     check_finding(&"{a: [".repeat(1_000_000), "recursion limit", 1);
 }
+
+#[test]
+fn aliases_of_a_description_are_limited() {
+    let text = |uses: usize| {
+        let (values, uses) = ("1, ".repeat(5_000), "*a, ".repeat(uses));
+        SHORT.replacen("id:", &format!("x: &a [{values}]\ny: [{uses}]\nid:"), 1)
+    };
+    assert!(init_of(&source(&text(2))).is_ok());
+    let findings = init_of(&source(&text(20_000))).unwrap_err();
+    assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::TooMuch]);
+}

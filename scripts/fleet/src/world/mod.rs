@@ -17,7 +17,7 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys::{Declaration, Kind};
 use downbeat_reader::{keys, schema};
 use downbeat_yaml::composed::{composed, is_same};
-use downbeat_yaml::finding::{Code, Finding};
+use downbeat_yaml::finding::{Code, Finding, Place};
 use downbeat_yaml::identify::{self, Document};
 use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
@@ -142,7 +142,7 @@ impl WorldReader<'_> {
         for (name, at) in self.findings.entries(at, expected) {
             let named = self.named(name);
             let Some((rank, robots)) = named else {
-                self.unknown_robot(name, &at, true);
+                self.unknown_robot(name, at.key_place());
                 continue;
             };
             let Some(value) = read(&mut self.findings, &at, name) else { continue };
@@ -168,14 +168,13 @@ impl WorldReader<'_> {
         (name == ALL).then(|| (1, (0..robots.len()).collect()))
     }
 
-    fn unknown_robot(&mut self, name: &str, at: &At<'_>, key: bool) {
+    fn unknown_robot(&mut self, name: &str, place: Place) {
         let robots = self.fleet.robots.iter().map(|robot| robot.id.as_str());
         let known: Vec<&str> =
             robots.chain(self.fleet.groups.keys().map(String::as_str)).chain([ALL]).collect();
         let hint = self.findings.did_you_mean(name, known.iter().copied());
         let message = format!("no robot or group `{}` in the fleet", shortened(name));
         let expected = downbeat_yaml::finding::one_of(known);
-        let place = if key { at.key_place() } else { at.place() };
         self.findings.add(Code::UnknownRobot, place, message, expected, hint);
     }
 
@@ -191,7 +190,7 @@ impl WorldReader<'_> {
             };
             let found = self.fleet.robots.iter().find(|known| is_same(known.id.as_str(), robot));
             let Some(robot) = found else {
-                self.unknown_robot(robot, &at, true);
+                self.unknown_robot(robot, at.key_place());
                 continue;
             };
             let sensor = robot
@@ -218,7 +217,7 @@ impl WorldReader<'_> {
             let name = self.findings.name(&at, "a robot or group")?;
             let named = self.named(&name);
             if named.is_none() {
-                self.unknown_robot(&name, &at, false);
+                self.unknown_robot(&name, at.place());
             }
             Some(named?.1)
         });

@@ -106,15 +106,15 @@ fn of_two(two: Two, left: Quantity, right: Found, span: Span, known: &dyn Known)
 }
 
 /// A function that returns the number, the bars or the beats of an amount.
-type Part = fn(&Amount) -> Num;
+type AmountPart = fn(&Amount) -> Num;
 
 /// Converts two amounts to comparable numbers: beats or bars if that is the only unit of both amounts, otherwise clock time.
 fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(Num, Num), Fault> {
-    let only = |of: Part, others: [Part; 2]| {
+    let only = |of: AmountPart, others: [AmountPart; 2]| {
         let alone = |amount: &Amount| others.iter().all(|other| other(amount).is_zero());
         (alone(a) && alone(b)).then(|| (of(a), of(b)))
     };
-    let (number, bars, beats): (Part, Part, Part) = (|a| a.number, |a| a.bars, |a| a.beats);
+    let (number, bars, beats): (AmountPart, AmountPart, AmountPart) = (|a| a.number, |a| a.bars, |a| a.beats);
     let same = only(number, [bars, beats])
         .or_else(|| only(bars, [number, beats]))
         .or_else(|| only(beats, [number, bars]));

@@ -30,12 +30,12 @@ pub(super) enum Operation {
 
 /// The kind of an intermediate value: a truth value, or a number in a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum ValueKind {
     Truth,
     In(Unit),
 }
 
-impl Kind {
+impl ValueKind {
     const fn name(self) -> &'static str {
         match self {
             Self::Truth => "a truth value",
@@ -57,22 +57,22 @@ impl Formula {
             match step {
                 Step::Amount(amount) => maker.amount(amount, *span, known)?,
                 Step::Truth(truth) => {
-                    maker.put(Operation::Constant(f64::from(u8::from(*truth))), Kind::Truth)
+                    maker.put(Operation::Constant(f64::from(u8::from(*truth))), ValueKind::Truth)
                 }
                 Step::Variable(name) => match known.variable(name, *span)? {
                     Quantity::Truth(truth) => {
-                        maker.put(Operation::Constant(f64::from(u8::from(truth))), Kind::Truth);
+                        maker.put(Operation::Constant(f64::from(u8::from(truth))), ValueKind::Truth);
                     }
                     Quantity::Amount(amount) => maker.amount(&amount, *span, known)?,
                 },
-                Step::Time => maker.put(Operation::Time, Kind::In(Unit::TIME)),
+                Step::Time => maker.put(Operation::Time, ValueKind::In(Unit::TIME)),
                 Step::Negate => {
                     let unit = maker.number(*span)?;
-                    maker.put(Operation::Negate, Kind::In(unit));
+                    maker.put(Operation::Negate, ValueKind::In(unit));
                 }
                 Step::Not => {
                     maker.truth(*span)?;
-                    maker.put(Operation::Not, Kind::Truth);
+                    maker.put(Operation::Not, ValueKind::Truth);
                 }
                 Step::Two(two) => maker.two(*two, *span)?,
                 Step::Call(function, count) => maker.call(*function, *count, *span)?,
@@ -200,11 +200,11 @@ pub(super) fn sine(degrees: f64) -> f64 {
 
 struct Maker {
     steps: Vec<Operation>,
-    kinds: Vec<Kind>,
+    kinds: Vec<ValueKind>,
 }
 
 impl Maker {
-    fn put(&mut self, step: Operation, kind: Kind) {
+    fn put(&mut self, step: Operation, kind: ValueKind) {
         self.steps.push(step);
         self.kinds.push(kind);
     }
@@ -214,13 +214,13 @@ impl Maker {
         let number =
             if amount.is_musical() { known.on_the_clock(amount, span)?.f64() } else { amount.number.f64() };
         let value = number * 1e-9f64.powi(i32::from(amount.unit.time));
-        self.put(Operation::Constant(value), Kind::In(amount.unit));
+        self.put(Operation::Constant(value), ValueKind::In(amount.unit));
         Ok(())
     }
 
     fn number(&mut self, span: Span) -> Result<Unit, Fault> {
         match self.kinds.pop() {
-            Some(Kind::In(unit)) => Ok(unit),
+            Some(ValueKind::In(unit)) => Ok(unit),
             _ => Err(Fault::new(span, "true or false instead of a number", "a number or a time")
                 .hint("use it as a condition: `if(t < 3s, 10, 20)`")),
         }
@@ -228,7 +228,7 @@ impl Maker {
 
     fn truth(&mut self, span: Span) -> Result<(), Fault> {
         match self.kinds.pop() {
-            Some(Kind::In(unit)) => {
+            Some(ValueKind::In(unit)) => {
                 let message = format!("{} instead of true or false", unit.name());
                 Err(Fault::new(span, message, "a comparison such as `t < 3s`"))
             }
@@ -241,22 +241,22 @@ impl Maker {
             Two::And | Two::Or => {
                 self.truth(span)?;
                 self.truth(span)?;
-                Kind::Truth
+                ValueKind::Truth
             }
-            Two::Equal | Two::NotEqual if self.kinds.last() == Some(&Kind::Truth) => {
+            Two::Equal | Two::NotEqual if self.kinds.last() == Some(&ValueKind::Truth) => {
                 self.truth(span)?;
                 self.truth(span)?;
-                Kind::Truth
+                ValueKind::Truth
             }
             _ => {
                 let (b, a) = (self.number(span)?, self.number(span)?);
                 match two {
-                    Two::Times => Kind::In(product(a, b, span)?),
-                    Two::Over => Kind::In(quotient(a, b, span)?),
-                    Two::Plus | Two::Minus | Two::Modulo => Kind::In(same_unit(two, a, b, span)?),
+                    Two::Times => ValueKind::In(product(a, b, span)?),
+                    Two::Over => ValueKind::In(quotient(a, b, span)?),
+                    Two::Plus | Two::Minus | Two::Modulo => ValueKind::In(same_unit(two, a, b, span)?),
                     _ => {
                         same_unit(two, a, b, span)?;
-                        Kind::Truth
+                        ValueKind::Truth
                     }
                 }
             }
@@ -275,28 +275,28 @@ impl Maker {
                     self.steps.push(Operation::Constant(180.0));
                     self.steps.push(Operation::Two(Two::Times));
                 }
-                self.put(Operation::Call(function), Kind::In(Unit::PLAIN));
+                self.put(Operation::Call(function), ValueKind::In(Unit::PLAIN));
             }
             Function::Sqrt | Function::Floor | Function::Ceil | Function::Round => {
                 plain_only(name, self.number(span)?, span)?;
-                self.put(Operation::Call(function), Kind::In(Unit::PLAIN));
+                self.put(Operation::Call(function), ValueKind::In(Unit::PLAIN));
             }
             Function::Abs => {
                 let unit = self.number(span)?;
-                self.put(Operation::Call(function), Kind::In(unit));
+                self.put(Operation::Call(function), ValueKind::In(unit));
             }
             Function::Min | Function::Max | Function::Mod => {
                 let units: Vec<Unit> = (0..count).map(|_| self.number(span)).collect::<Result<_, _>>()?;
                 let unit = common_unit(&units, span)?;
                 // Several arguments are combined pairwise.
                 (1..count.max(1)).for_each(|_| self.steps.push(Operation::Call(function)));
-                self.kinds.push(Kind::In(unit));
+                self.kinds.push(ValueKind::In(unit));
             }
             Function::Random => {
                 for _ in 0..count {
                     plain_only(name, self.number(span)?, span)?;
                 }
-                self.put(Operation::Random(count), Kind::In(Unit::PLAIN));
+                self.put(Operation::Random(count), ValueKind::In(Unit::PLAIN));
             }
             Function::If => {
                 let (no, yes) = (self.kinds.pop(), self.kinds.pop());
@@ -309,7 +309,7 @@ impl Maker {
                         no.name()
                     );
                     let hint = match (yes, no) {
-                        (Kind::In(yes), Kind::In(no)) => yes.hint_of_two(no).map(str::to_owned),
+                        (ValueKind::In(yes), ValueKind::In(no)) => yes.hint_of_two(no).map(str::to_owned),
                         _ => None,
                     };
                     return Err(Fault::new(span, message, "two values of the same kind").hint_or(hint));

@@ -202,8 +202,8 @@ impl Parser<'_> {
         if self.word() == word { self.take(word) } else { None }
     }
 
-    fn text(&self, (from, to): Span) -> String {
-        self.chars[from..to].iter().collect()
+    fn text(&self, span: Span) -> String {
+        self.chars[span.0..span.1].iter().collect()
     }
 
     fn add(&mut self, step: Step, span: Span) {

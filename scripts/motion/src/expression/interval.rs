@@ -141,7 +141,7 @@ impl Jet {
 
 /// Bounds of a formula and its derivatives over an interval in seconds. `None` if the formula may have a corner, a jump or no value
 /// there.
-pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
+pub(super) fn jet(formula: &Formula, from: f64, to: f64) -> Option<Jet> {
     let mut stack: Vec<Option<Jet>> = Vec::with_capacity(8);
     for step in formula.steps.iter() {
         let mut pop = || stack.pop().flatten();

@@ -57,12 +57,12 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
             return Err(Trouble::TooMany);
         }
         let (from, to) = (seconds(begin), seconds(end));
-        let found = jet(formula, (from, to)).map(|jet| {
+        let found = jet(formula, from, to).map(|jet| {
             ((jet.value.0, jet.value.1), jet.slope.largest(), jet.curvature.largest() * (1.0 + 1e-9))
         });
         let rates = found.filter(|(values, _, curvature)| {
             *curvature == 0.0
-                || (bending(end - begin, *curvature, *values) <= BENDS_MAX
+                || (bending(end - begin, *curvature, values.1 - values.0) <= BENDS_MAX
                     && (end - begin <= (whole / SHORTEST_PART).max(1)
                         || *curvature <= LOOSE * sampled_curvature(formula, from, to)))
         });
@@ -81,7 +81,7 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
         let (begin, end) = (Span::from_nanos(begin), Span::from_nanos(end));
         let values = rates.map_or((0.0, 0.0), |(values, ..)| values);
         let rates = rates.map(|(_, slope, curvature)| (slope, curvature));
-        join(&mut done, (formula, whole), Piece { begin, end, rates, values });
+        join(&mut done, formula, whole, Piece { begin, end, rates, values });
     }
     if done.iter().map(Piece::bends).sum::<f64>() <= BENDS_IN_ALL_MAX {
         Ok(done)
@@ -90,25 +90,21 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     }
 }
 
-/// Returns the bending of a piece (see [`BENDS_MAX`]), given its length in nanoseconds, its curvature and its range of values
-/// ([`BENDS_MAX`]).
-fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
-    if curvature == 0.0 {
-        0.0
-    } else {
-        seconds(length) * (curvature / (most - least).max(f64::MIN_POSITIVE)).sqrt()
-    }
+/// Returns the bending of a piece (see [`BENDS_MAX`]), given its length in nanoseconds, its curvature, and the difference
+/// between its largest and its smallest value.
+fn bending(length: i64, curvature: f64, range: f64) -> f64 {
+    if curvature == 0.0 { 0.0 } else { seconds(length) * (curvature / range.max(f64::MIN_POSITIVE)).sqrt() }
 }
 
 impl Piece {
     fn bends(&self) -> f64 {
         let length = (self.end - self.begin).as_nanos();
-        self.rates.map_or(0.0, |(_, curvature)| bending(length, curvature, self.values))
+        self.rates.map_or(0.0, |(_, curvature)| bending(length, curvature, self.values.1 - self.values.0))
     }
 }
 
-/// Appends a piece to `done`. If the last piece of `done` is similar, extends that piece instead.
-fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
+/// Appends a piece of a formula of `whole` nanoseconds to `done`. If the last piece of `done` is similar, extends that piece instead.
+fn join(done: &mut Vec<Piece>, formula: &Formula, whole: i64, piece: Piece) {
     if let Some(last) = done.last_mut() {
         let values = (last.values.0.min(piece.values.0), last.values.1.max(piece.values.1));
         let joined = match (last.rates, piece.rates) {
@@ -122,7 +118,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
                 let short = 4 * one.min(other).as_nanos() <= one.max(other).as_nanos()
                     || 64 * (one + other).as_nanos() <= whole;
                 let alike = short
-                    && bending((one + other).as_nanos(), high, values) <= BENDS_MAX
+                    && bending((one + other).as_nanos(), high, values.1 - values.0) <= BENDS_MAX
                     && bends(one + other, high) <= 2.0 * most
                     && is_smooth(formula, last.end);
                 alike.then_some(Some((slope.max(next_slope), high)))
@@ -141,7 +137,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
 /// Whether two pieces that meet at the time `at` join without a corner.
 fn is_smooth(formula: &Formula, at: Span) -> bool {
     let nanos = at.as_nanos();
-    let slope = |from: i64, to: i64| jet(formula, (seconds(from), seconds(to))).map(|jet| jet.slope);
+    let slope = |from: i64, to: i64| jet(formula, seconds(from), seconds(to)).map(|jet| jet.slope);
     let Some((before, after)) = slope(nanos - 1, nanos).zip(slope(nanos, nanos + 1)) else { return false };
     let dust = 1e-9 * before.largest().max(after.largest());
     before.0 <= after.1 + dust && after.0 <= before.1 + dust
@@ -151,7 +147,7 @@ fn is_smooth(formula: &Formula, at: Span) -> bool {
 fn sampled_curvature(formula: &Formula, from: f64, to: f64) -> f64 {
     let at = |part: f64| {
         let time = from + (to - from) * part;
-        jet(formula, (time, time)).map_or(0.0, |jet| jet.curvature.largest())
+        jet(formula, time, time).map_or(0.0, |jet| jet.curvature.largest())
     };
     [0.0, 0.17, 0.34, 0.5, 0.63, 0.81, 1.0].into_iter().map(at).fold(0.0, f64::max)
 }
@@ -171,7 +167,7 @@ impl Formula {
     pub fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
         let at = |part: u32| {
             let time = from + (to - from) * f64::from(part) / 256.0;
-            jet(self, (time, time)).map_or((0.0, 0.0), |jet| (jet.slope.largest(), jet.curvature.largest()))
+            jet(self, time, time).map_or((0.0, 0.0), |jet| (jet.slope.largest(), jet.curvature.largest()))
         };
         (0..=256).map(at).fold((0.0, 0.0), |most, found| (most.0.max(found.0), most.1.max(found.1)))
     }

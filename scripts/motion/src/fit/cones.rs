@@ -15,8 +15,8 @@ pub(super) trait Sight {
     /// Returns the candidates of the sample that is `duration` later that are in the set `wanted` and that at least one line reaches.
     fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64;
 
-    /// Keeps only the lines whose values at a later sample are within `gate`, the range of allowed values. Returns whether any remain.
-    fn narrow(&mut self, duration: f64, gate: (f64, f64)) -> bool;
+    /// Keeps only the lines whose values at a later sample are from `low` to `high`. Returns whether any remain.
+    fn narrow(&mut self, duration: f64, low: f64, high: f64) -> bool;
 }
 
 /// The lines from each value of one sample, without approximation.
@@ -127,7 +127,7 @@ impl Sight for Cones {
     }
 
     #[inline]
-    fn narrow(&mut self, duration: f64, (low, high): (f64, f64)) -> bool {
+    fn narrow(&mut self, duration: f64, low: f64, high: f64) -> bool {
         let gate = Gate { low, high, inverse: 1.0 / duration };
         self.passed.push(gate);
         self.lowest.narrow(&gate);

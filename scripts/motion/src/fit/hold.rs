@@ -153,7 +153,7 @@ impl<'a> Movement<'a> {
 }
 
 /// Returns the places of the lowest and the highest value of a run after its extension by `place`.
-fn widened((low, high): (Place, Place), place: Place) -> (Place, Place) {
+fn widened(low: Place, high: Place, place: Place) -> (Place, Place) {
     (if place.value < low.value { place } else { low }, if place.value > high.value { place } else { high })
 }
 
@@ -263,10 +263,10 @@ impl Question<'_> {
             if !(place.value >= least && place.value <= greatest) {
                 break;
             }
-            (low, high) = widened((low, high), place);
+            (low, high) = widened(low, high, place);
             let (least, greatest) = self.served(prescribed, low.value, high.value, room);
             place.value = piece.to.clamp(least.min(place.value), greatest.max(place.value));
-            (low, high) = widened((low, high), place);
+            (low, high) = widened(low, high, place);
             if place.value != piece.to {
                 break;
             }

@@ -76,7 +76,7 @@ impl Layers {
     ) -> Option<Self> {
         let last = forwards.layers() - 1;
         let layer = |number: usize| &forwards.nodes[forwards.of(last - number)];
-        Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
+        Self::leading(problem, room, candidates.into(), (0..=last).map(layer), |node| Some(*node))
     }
 
     /// Returns the layers that remain if the largest allowed distance from the curve falls to `room`; `None` if no path remains.
@@ -88,24 +88,24 @@ impl Layers {
         };
         let layer = |number: usize| &self.backwards.nodes[self.backwards.of(number)];
         let last = self.backwards.layers() - 1;
-        Self::leading(problem, room, self.candidates.clone(), (last, layer), near)
+        Self::leading(problem, room, self.candidates.clone(), (0..=last).map(layer), near)
     }
 
     fn leading<'s>(
         problem: &Problem,
         room: f64,
         candidates: Rc<[Candidates]>,
-        (last, layer): (usize, impl Fn(usize) -> &'s [Node]),
+        mut layers: impl Iterator<Item = &'s [Node]>,
         near: impl Fn(&Node) -> Option<Node>,
     ) -> Option<Self> {
         let mut walk = Walk::new(problem, &candidates, room);
         let mut backwards = Stack::default();
         backwards.begin();
-        backwards.nodes.extend(layer(0).iter().filter_map(&near));
-        for number in 1..=last {
+        backwards.nodes.extend(layers.next().into_iter().flatten().filter_map(&near));
+        for (number, layer) in (1..).zip(layers) {
             let mut later = backwards.of(number - 1);
             backwards.begin();
-            for node in layer(number) {
+            for node in layer {
                 let passed =
                     backwards.nodes[later.clone()].iter().take_while(|later| later.sample <= node.sample);
                 later.start += passed.count();
@@ -213,7 +213,8 @@ impl<'a> Walk<'a> {
     fn pass(&mut self, from: usize, mut samples: Range<usize>) -> bool {
         let (curve, room) = (&self.problem.curve, self.room);
         samples.all(|sample| {
-            self.cones.narrow(curve.times[sample] - curve.times[from], curve.gate(sample, room))
+            let (low, high) = curve.gate(sample, room);
+            self.cones.narrow(curve.times[sample] - curve.times[from], low, high)
         })
     }
 

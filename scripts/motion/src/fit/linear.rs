@@ -182,7 +182,8 @@ impl<'a> Search<'a> {
                     (first, until) = (first.min(next), next + 1);
                 }
             }
-            if !sight.narrow(duration, self.gates[next]) {
+            let (low, high) = self.gates[next];
+            if !sight.narrow(duration, low, high) {
                 break;
             }
         }

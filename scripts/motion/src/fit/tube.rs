@@ -144,9 +144,9 @@ impl<'a> Piece<'a> {
     }
 
     /// Returns the negated time of a sample, and the lowest and highest value at which a line may pass it.
-    fn gap(&self, sample: usize) -> (f64, f64, f64) {
+    fn gap(&self, sample: usize) -> Gap {
         let (low, high) = self.tubes.curve.gate(sample, self.room);
-        (-self.tubes.curve.times[sample], low, high)
+        Gap { x: -self.tubes.curve.times[sample], low, high }
     }
 
     fn wind(&mut self, first: usize) {
@@ -191,6 +191,14 @@ struct Tube {
     bottoms: Hull,
 }
 
+/// A vertical gap at `x`, from `low` to `high`.
+#[derive(Clone, Copy)]
+struct Gap {
+    x: f64,
+    low: f64,
+    high: f64,
+}
+
 /// A line through a corner of the hull and a point to the right of the corner.
 #[derive(Clone, Copy)]
 struct Line {
@@ -227,8 +235,9 @@ impl Tube {
         self.bottoms.clear();
     }
 
-    /// Adds the gap at `x` from `low` to `high`. Returns whether one line still passes all gaps.
-    fn add(&mut self, (x, low, high): (f64, f64, f64)) -> bool {
+    /// Adds a gap. Returns whether one line still passes all gaps.
+    fn add(&mut self, gap: Gap) -> bool {
+        let Gap { x, low, high } = gap;
         let (bottom, top) = ((x, low), (x, high));
         let above = self.steepest.is_some_and(|line| line.below(bottom) > 0.0);
         let below = self.flattest.is_some_and(|line| line.below(top) < 0.0);
@@ -267,7 +276,7 @@ impl Sight for View {
         #[expect(clippy::cast_possible_truncation, reason = "below 64")]
         let [low, high] = [lowest, highest].map(|candidate| of.value(candidate as u8));
         self.tube.clear();
-        self.tube.add((0.0, low - self.dust, high + self.dust));
+        self.tube.add(Gap { x: 0.0, low: low - self.dust, high: high + self.dust });
     }
 
     fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
@@ -279,8 +288,8 @@ impl Sight for View {
         }
     }
 
-    fn narrow(&mut self, duration: f64, (low, high): (f64, f64)) -> bool {
-        self.tube.add((duration, low - self.dust, high + self.dust))
+    fn narrow(&mut self, duration: f64, low: f64, high: f64) -> bool {
+        self.tube.add(Gap { x: duration, low: low - self.dust, high: high + self.dust })
     }
 }
 

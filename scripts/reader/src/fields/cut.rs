@@ -8,7 +8,7 @@ use downbeat_yaml::shown::shortened;
 
 impl Reader {
     /// Adds one finding for a decimal comma: YAML reads `{at: 0,3s}` as the number 0 and a key `3s`.
-    pub(super) fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
+    pub(super) fn report_decimal_comma(&mut self, at: &At<'_>, key: &str, whole: &str, others: &[&str]) {
         let Some(rest) = others.first() else { return };
         let place = at.entry(rest, 0, &Node::Null).key_place();
         let message = format!(
@@ -42,11 +42,12 @@ impl Reader {
 
 /// Detects a decimal comma that turned the digits after it into the key `rest`. Returns the key of the entry before it, and the digits
 /// before the comma.
-pub(super) fn cut_by_comma<'a>(
-    (key, value): &'a (String, Node),
+pub(super) fn decimal_comma<'a>(
+    before: &'a (String, Node),
     rest: &str,
     node: &Node,
 ) -> Option<(&'a str, String)> {
+    let (key, value) = before;
     let decimals = rest.starts_with(|c: char| c.is_ascii_digit()) && *node == Node::Null;
     match value {
         Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, whole.to_string())),
@@ -79,10 +80,8 @@ fn is_open(text: &str) -> usize {
 
 /// Detects a comma in an expression that ended the value, so that the rest of the expression became the next key. Returns the key and the
 /// cut value; `None` if there is no such comma.
-pub(super) fn cut_in_brackets<'a>(
-    (key, value): &'a (String, Node),
-    node: &Node,
-) -> Option<(&'a str, &'a str)> {
+pub(super) fn cut_in_brackets<'a>(before: &'a (String, Node), node: &Node) -> Option<(&'a str, &'a str)> {
+    let (key, value) = before;
     match value {
         Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => {
             Some((key, text))

@@ -27,12 +27,12 @@ const SAMPLES: usize = 16;
 pub struct Strokes {
     /// Ends and meeting points of the strokes.
     knots: Vec<Point>,
-    parts: Vec<Part>,
+    parts: Vec<StrokePart>,
 }
 
 /// A line between two knots, or a closed line without knots.
 #[derive(Clone, Debug, PartialEq)]
-struct Part {
+struct StrokePart {
     points: Vec<Point>,
     /// For each point, its distance from the first point along the line.
     far: Vec<f64>,
@@ -91,14 +91,14 @@ impl Strokes {
     }
 
     fn length(&self) -> f64 {
-        self.parts.iter().map(Part::length).sum()
+        self.parts.iter().map(StrokePart::length).sum()
     }
 
     /// Returns one place at each knot, and the other places between knots. `None` if there are fewer places than knots.
     fn with_all_knots(&self, count: usize) -> Option<Vec<Point>> {
         let mut left = count.checked_sub(self.knots.len())?;
         let mut inner = vec![0usize; self.parts.len()];
-        let gap = |part: &Part, inner: usize| match (part.ends, inner) {
+        let gap = |part: &StrokePart, inner: usize| match (part.ends, inner) {
             (Some(_), inner) => part.length() / real(inner + 1),
             // A closed line without a place has priority.
             (None, 0) => 2.0 * part.length(),
@@ -163,7 +163,7 @@ const fn real(count: usize) -> f64 {
     count as f64
 }
 
-impl Part {
+impl StrokePart {
     fn length(&self) -> f64 {
         self.far.last().copied().unwrap_or(0.0)
     }
@@ -243,11 +243,11 @@ fn with_knots(line: &[Point], knots: &Knots) -> Vec<Point> {
 }
 
 /// Cuts a line at its knots, and adds the resulting parts to `parts`. A closed line begins at its first knot.
-fn cut(line: &[Point], knots: &mut Knots, closed: bool, parts: &mut Vec<Part>) {
+fn cut(line: &[Point], knots: &mut Knots, closed: bool, parts: &mut Vec<StrokePart>) {
     let mut line = line.to_vec();
     if closed {
         match line.iter().position(|point| knots.found(*point).is_some()) {
-            None => return parts.push(Part::of(line, None)),
+            None => return parts.push(StrokePart::of(line, None)),
             Some(begin) => {
                 line.pop();
                 let turn = begin % line.len().max(1);
@@ -259,13 +259,13 @@ fn cut(line: &[Point], knots: &mut Knots, closed: bool, parts: &mut Vec<Part>) {
     let mut from = (0, knots.of(line[0]));
     for index in 1..line.len() {
         if let Some(to) = knots.found(line[index]) {
-            parts.push(Part::of(line[from.0..=index].to_vec(), Some([from.1, to])));
+            parts.push(StrokePart::of(line[from.0..=index].to_vec(), Some([from.1, to])));
             from = (index, to);
         }
     }
 }
 
-impl Part {
+impl StrokePart {
     fn of(points: Vec<Point>, ends: Option<[usize; 2]>) -> Self {
         let mut far = vec![0.0];
         for pair in points.windows(2) {

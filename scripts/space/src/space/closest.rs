@@ -9,7 +9,7 @@ use parry3d_f64::math::Vector;
 
 use super::path::{self, Knot, Path};
 use super::solid::Solid;
-use super::way::{Best, Way};
+use super::way::{Best, PairMovement};
 
 /// Approximate number of knots per leaf of the tree.
 const LEAF: usize = 8;
@@ -157,7 +157,7 @@ impl Search<'_> {
     fn leaf(&mut self, leaf: usize, leaves: usize) {
         let moments = moments(self.a, self.b, leaf, leaves);
         for pair in moments.windows(2) {
-            Way::new([&self.a.solid, &self.b.solid], &pair[0], &pair[1]).closest(&mut self.best);
+            PairMovement::new([&self.a.solid, &self.b.solid], &pair[0], &pair[1]).closest(&mut self.best);
         }
     }
 }
@@ -188,5 +188,7 @@ fn contact_in(a: &Mover, b: &Mover, node: usize) -> Option<f64> {
         return contact_in(a, b, 2 * node).or_else(|| contact_in(a, b, 2 * node + 1));
     }
     let moments = moments(a, b, node - leaves, leaves);
-    moments.windows(2).find_map(|pair| Way::new([&a.solid, &b.solid], &pair[0], &pair[1]).first_contact())
+    moments
+        .windows(2)
+        .find_map(|pair| PairMovement::new([&a.solid, &b.solid], &pair[0], &pair[1]).first_contact())
 }

@@ -12,7 +12,7 @@ const TOUCH: f64 = 1e-12;
 
 /// All points within a radius of a core, which form a ball, a capsule, or a box.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Part {
+pub(super) struct BodyPart {
     pub(super) core: Core,
     pub(super) radius: f64,
 }
@@ -34,7 +34,7 @@ pub(super) struct Gap {
     pub(super) normal: Option<Vector>,
 }
 
-impl Part {
+impl BodyPart {
     /// Returns the smallest and the largest coordinates of the core.
     pub(super) fn hull(&self) -> [Vector; 2] {
         match &self.core {

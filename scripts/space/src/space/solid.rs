@@ -4,7 +4,7 @@ use parry3d_f64::math::Vector;
 use parry3d_f64::shape::{Cuboid, Segment};
 
 use super::chain::{Chain, Sway, base};
-use super::part::{Core, Part};
+use super::part::{BodyPart, Core};
 use super::place::Place;
 use super::{Body, Shape, Volume};
 
@@ -63,15 +63,15 @@ impl Solid {
     }
 
     /// Returns all parts of the body at a place: the base first, then the links from the base to the tip.
-    pub(super) fn parts(&self, place: &Place) -> Vec<Part> {
+    pub(super) fn parts(&self, place: &Place) -> Vec<BodyPart> {
         let shape = self.base.map(|shape| shape.part(place));
         let points = self.chain.points(place);
         let link = |(ends, radius): (&[Vector], f64)| {
             let core = Core::Segment(Segment::new(ends[0], ends[1]));
-            Part { core, radius }
+            BodyPart { core, radius }
         };
         let parts = shape.into_iter().chain(points.windows(2).zip(self.chain.radii()).map(link));
-        parts.map(|part| Part { radius: part.radius + self.margin, ..part }).collect()
+        parts.map(|part| BodyPart { radius: part.radius + self.margin, ..part }).collect()
     }
 
     /// Returns upper bounds on the movement of each part's points between two places, in addition to the movement of the base in x, y
@@ -87,12 +87,12 @@ impl Solid {
 }
 
 impl Shape {
-    fn part(self, place: &Place) -> Part {
+    fn part(self, place: &Place) -> BodyPart {
         let pose = base(place);
         match self {
-            Self::Ball { radius } => Part { core: Core::Point(pose.translation), radius },
+            Self::Ball { radius } => BodyPart { core: Core::Point(pose.translation), radius },
             Self::Box { size } => {
-                Part { core: Core::Box(pose, Cuboid::new(Vector::from_array(size) / 2.0)), radius: 0.0 }
+                BodyPart { core: Core::Box(pose, Cuboid::new(Vector::from_array(size) / 2.0)), radius: 0.0 }
             }
         }
     }

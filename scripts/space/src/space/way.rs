@@ -8,7 +8,7 @@
 
 use super::chain::Sway;
 use super::closest::Approach;
-use super::part::{Gap, Part};
+use super::part::{BodyPart, Gap};
 use super::path::Both;
 use super::solid::Solid;
 
@@ -17,7 +17,7 @@ use super::solid::Solid;
 pub(super) const EXACT: f64 = 1e-4;
 const SHARE: f64 = 1e-5;
 
-pub(super) struct Way<'a> {
+pub(super) struct PairMovement<'a> {
     solids: [&'a Solid; 2],
     from: &'a Both,
     to: &'a Both,
@@ -29,7 +29,7 @@ pub(super) struct Way<'a> {
 /// All parts of two bodies when the share `s` of the movement has passed.
 struct Look {
     s: f64,
-    parts: [Vec<Part>; 2],
+    parts: [Vec<BodyPart>; 2],
 }
 
 /// One part of each body, with the distances between them at both ends of an interval.
@@ -52,7 +52,7 @@ impl Best {
     }
 }
 
-impl<'a> Way<'a> {
+impl<'a> PairMovement<'a> {
     pub(super) fn new(solids: [&'a Solid; 2], from: &'a Both, to: &'a Both) -> Self {
         let mut way = Self { solids, from, to, shift: 0.0, sways: [Vec::new(), Vec::new()] };
         let (begin, end) = (way.relative(from), way.relative(to));

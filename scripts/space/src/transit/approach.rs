@@ -1,6 +1,6 @@
 //! The closest approach of two bodies on their routes.
 
-use super::way::Way;
+use super::way::Route;
 use crate::formation::{Point, metres_between};
 use downbeat_motion::motion::Easing;
 
@@ -20,7 +20,7 @@ pub struct Approach {
 
 /// Returns the closest approach of two routes if it is below `enough`, in metres. `None` means that the routes are no closer than
 /// `enough`, except for [`SLACK`].
-pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+pub fn closest(a: &Route, b: &Route, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
         return None;
     }
@@ -29,7 +29,7 @@ pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
 
 /// Whether [`closest`] may find an approach. The test is cheap; it is exact for straight routes with the same time law (start and
 /// duration).
-pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
+pub fn may_meet(a: &Route, b: &Route, enough: f64) -> bool {
     if a.is_even_with(b) {
         Line::between(a, b).nearest().0 < enough
     } else {
@@ -38,7 +38,7 @@ pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
 }
 
 /// Whether [`closest`] finds an approach. If an approach exists, this is faster than calling [`closest`].
-pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
+pub fn meet(a: &Route, b: &Route, enough: f64) -> bool {
     if a.is_even_with(b) || !may_meet(a, b, enough) {
         return may_meet(a, b, enough);
     }
@@ -63,7 +63,7 @@ struct Line {
 }
 
 impl Line {
-    fn between(a: &Way, b: &Way) -> Self {
+    fn between(a: &Route, b: &Route) -> Self {
         let (va, vb) = (a.vector(), b.vector());
         Self {
             from: std::array::from_fn(|axis| b.from[axis] - a.from[axis]),
@@ -83,24 +83,24 @@ impl Line {
 
 /// Computes the approach of straight routes with the same time law (start and duration): relative to one body, the other body moves along
 /// a line.
-fn together(a: &Way, b: &Way) -> Approach {
+fn together(a: &Route, b: &Route) -> Approach {
     let (distance, u) = Line::between(a, b).nearest();
     Approach { distance, at: a.begin + a.length * Easing::smooth_time(u) }
 }
 
 /// Computes the approach of any two routes. Halves the time wherever bounds on their speeds permit a closer approach.
-fn searched(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+fn searched(a: &Route, b: &Route, enough: f64) -> Option<Approach> {
     // Relative to a body with the same time law, the other body moves on a single route: bodies on equal arcs keep their distance.
     if (a.begin, a.length) == (b.begin, b.length) {
         let seen = |a: Point, b: Point| -> Point { std::array::from_fn(|axis| b[axis] - a[axis]) };
-        let other = Way { from: seen(a.from, b.from), to: seen(a.to, b.to), lift: b.lift - a.lift, ..*a };
-        let still = Way { from: [0.0; 3], to: [0.0; 3], lift: 0.0, ..*a };
+        let other = Route { from: seen(a.from, b.from), to: seen(a.to, b.to), lift: b.lift - a.lift, ..*a };
+        let still = Route { from: [0.0; 3], to: [0.0; 3], lift: 0.0, ..*a };
         return halved(&other, &still, enough);
     }
     halved(a, b, enough)
 }
 
-fn halved(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+fn halved(a: &Route, b: &Route, enough: f64) -> Option<Approach> {
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let best = Approach { distance: f64::INFINITY, at: from };
     let mut search = Search { a, b, enough, best, left: LOOKS_MAX };
@@ -112,8 +112,8 @@ fn halved(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
 }
 
 struct Search<'a> {
-    a: &'a Way,
-    b: &'a Way,
+    a: &'a Route,
+    b: &'a Route,
     enough: f64,
     best: Approach,
     left: u32,

@@ -2,7 +2,7 @@
 
 use super::approach::{Approach, SLACK, closest, may_meet, meet};
 use super::assignment::{Assignment, Cheapest, Least, Price, Ways};
-use super::way::{CURVATURE, SLOPE, Way};
+use super::way::{CURVATURE, Route, SLOPE};
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 use downbeat_yaml::budget::Budget;
 
@@ -41,7 +41,7 @@ pub struct Limits {
 
 impl Limits {
     /// Returns the shortest time in which the body can take a route, in seconds.
-    fn time_for(&self, way: &Way) -> f64 {
+    fn time_for(&self, way: &Route) -> f64 {
         let time = |reach: f64, lift: f64, [speed, acceleration]: [f64; 2]| {
             let bend = CURVATURE * (reach + 4.0 * lift) + SLOPE * SLOPE * 8.0 * lift;
             (SLOPE * (reach + 4.0 * lift) / speed).max((bend / acceleration).sqrt())
@@ -154,7 +154,7 @@ const ENOUGH: f64 = 1.0 + 1e-9;
 /// [`Body::error`] for bodies that begin or end close to each other.
 #[derive(Clone, Debug)]
 pub struct Crossed {
-    pub ways: Vec<Way>,
+    pub ways: Vec<Route>,
     pub errors: Vec<f64>,
 }
 
@@ -163,7 +163,7 @@ pub struct Crossed {
 /// # Errors
 /// Returns the reason if the duration is too short, or if no route was found on which certain bodies can pass each other.
 pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
-    let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
+    let mut best: Option<(Vec<Route>, Vec<Near>)> = None;
     let mut needed = (0, f64::INFINITY);
     for goals in crossing.candidates() {
         let ways = crossing.straight(&goals);
@@ -195,7 +195,7 @@ pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
 }
 
 /// Returns the distances between the starts and between the ends of two bodies, in metres.
-fn ends(a: &Way, b: &Way) -> [f64; 2] {
+fn ends(a: &Route, b: &Route) -> [f64; 2] {
     [metres_between(a.from, b.from), metres_between(a.to, b.to)]
 }
 
@@ -237,14 +237,14 @@ impl Crossing<'_> {
         Box::new(candidates)
     }
 
-    fn straight(&self, goals: &[Point]) -> Vec<Way> {
-        let way = |(body, goal): (&Body, &Point)| Way::straight(body.from, *goal, body.begin, self.over);
+    fn straight(&self, goals: &[Point]) -> Vec<Route> {
+        let way = |(body, goal): (&Body, &Point)| Route::straight(body.from, *goal, body.begin, self.over);
         self.bodies.iter().zip(goals).map(way).collect()
     }
 
     /// Returns the required distance between the middles of two bodies. If the bodies begin or end closer to each other, a smaller
     /// distance is required.
-    fn required(&self, ways: &[Way], a: usize, b: usize) -> Required {
+    fn required(&self, ways: &[Route], a: usize, b: usize) -> Required {
         let [begin, end] = ends(&ways[a], &ways[b]);
         let [least, apart] = [self.least(a, b), self.apart(a, b)];
         let rounding = ROUNDING + self.bodies[a].rounding + self.bodies[b].rounding;
@@ -267,7 +267,7 @@ impl Crossing<'_> {
 
     /// Reduces the permitted errors of bodies that begin or end close to each other: each gets half of the amount by which their distance
     /// exceeds the least permitted one.
-    fn crossed(&self, ways: Vec<Way>) -> Crossed {
+    fn crossed(&self, ways: Vec<Route>) -> Crossed {
         let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
         let (starts, ends): (Vec<Point>, Vec<Point>) = ways.iter().map(|way| (way.from, way.to)).unzip();
         let reach = 2.0 * self.reach_max() + SLACK;
@@ -288,9 +288,9 @@ impl Crossing<'_> {
 
     /// Returns the pairs of bodies that come too close, in order of their indices. With `changed`, returns only pairs with a changed
     /// body.
-    fn near(&self, ways: &[Way], changed: Option<&[bool]>) -> Vec<Near> {
+    fn near(&self, ways: &[Route], changed: Option<&[bool]>) -> Vec<Near> {
         let mut order: Vec<usize> = (0..ways.len()).collect();
-        let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
+        let bounds: Vec<[Point; 2]> = ways.iter().map(Route::bounds).collect();
         order.sort_by(|a, b| bounds[*a][0][0].total_cmp(&bounds[*b][0][0]));
         let reach_max = self.reach_max();
         let is_due = |a: usize, b: usize| changed.is_none_or(|changed| changed[a] || changed[b]);
@@ -311,7 +311,7 @@ impl Crossing<'_> {
     }
 
     /// Returns the number of other bodies that come too close to `body`; stops counting at `most`.
-    fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
+    fn conflicts(&self, ways: &[Route], body: usize, most: usize) -> usize {
         let others = (0..ways.len()).filter(|other| *other != body);
         let too_close = |other: &usize| {
             // The required distance never exceeds `apart`.
@@ -323,7 +323,7 @@ impl Crossing<'_> {
 
     /// Delays single bodies or leads them in arcs until all bodies keep apart. If that fails, returns the closest pair. Each body that
     /// comes too close to others takes the route with the fewest conflicts (Minton et al., Artificial Intelligence 58, 1992).
-    fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
+    fn detours(&self, ways: &mut [Route], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX.max(PAIRS_PER_BODY_MAX * ways.len()));
         let mut fewest = (near.clone(), ways.to_vec());
         let ends_close =
@@ -368,10 +368,10 @@ impl Crossing<'_> {
 
     /// Leads a body along the route on which it comes too close to the fewest others. Later rounds also accept a route with as many
     /// conflicts, a different one in each round, so that bodies leave local minima.
-    fn avoid(&self, ways: &mut [Way], body: usize, round: usize, room: &mut Budget) {
+    fn avoid(&self, ways: &mut [Route], body: usize, round: usize, room: &mut Budget) {
         let mut best = ways[body];
         let mut fewest = self.conflicts(ways, body, usize::MAX);
-        let straight = Way::straight(best.from, best.to, self.bodies[body].begin, self.over);
+        let straight = Route::straight(best.from, best.to, self.bodies[body].begin, self.over);
         let mut alternatives = self.alternatives(&straight, body);
         let turned = round % alternatives.len().max(1);
         alternatives.rotate_left(turned);
@@ -390,7 +390,7 @@ impl Crossing<'_> {
     }
 
     /// Returns other routes of a body to the same place: first shifted in time, then above or below the others, then both.
-    fn alternatives(&self, straight: &Way, index: usize) -> Vec<Way> {
+    fn alternatives(&self, straight: &Route, index: usize) -> Vec<Route> {
         let body = &self.bodies[index];
         let mut windows = vec![(straight.begin, straight.length)];
         for parts in 1..=WAITS_MAX {
@@ -404,12 +404,12 @@ impl Crossing<'_> {
             let height = 2.0 * (body.keep + body.error) * f64::from(layer) * 4.0 / 3.0;
             lifts.extend([height, -height]);
         }
-        let within = |way: &Way| {
+        let within = |way: &Route| {
             let [least, most] = way.bounds();
             way.lift == 0.0 || body.heights.is_some_and(|[low, high]| least[2] >= low && most[2] <= high)
         };
         let ways = lifts.iter().flat_map(|lift| {
-            windows.iter().map(|(begin, length)| Way {
+            windows.iter().map(|(begin, length)| Route {
                 begin: *begin,
                 length: *length,
                 lift: *lift,

@@ -17,4 +17,4 @@ mod way;
 
 pub use assignment::Least;
 pub use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, Required, cross};
-pub use way::Way;
+pub use way::Route;

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::approach::{SLACK, closest};
 use super::assignment::{Assignment, Cheapest, Price, Ways};
 use super::crossing::Crossed;
-use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
+use super::{Body, Crossing, Goals, Least, Limits, Refused, Route, cross};
 use crate::formation::{Point, metres_between, nearest_pair};
 
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
@@ -83,7 +83,7 @@ fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
 }
 
 /// Returns the least of many sampled distances between two routes.
-fn sampled(a: &Way, b: &Way) -> f64 {
+fn sampled(a: &Route, b: &Route) -> f64 {
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let at = |i: u32| from + (to - from) * f64::from(i) / 4_000.0;
     (0..=4_000).map(|i| metres_between(a.at(at(i)), b.at(at(i)))).fold(f64::INFINITY, f64::min)
@@ -169,7 +169,7 @@ fn assignment_of_300_bodies_on_a_circle_has_the_least_sum() {
 
 #[test]
 fn bodies_on_equal_arcs_keep_a_constant_distance() {
-    let way = |x: f64| Way { lift: 3.0, ..Way::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
+    let way = |x: f64| Route { lift: 3.0, ..Route::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
     let found = closest(&way(0.0), &way(0.5), 0.6).unwrap();
     // A search that stops at its limit returns a much lower bound.
     assert!((found.distance - 0.5).abs() <= SLACK + 1e-9, "{found:?}");
@@ -392,13 +392,13 @@ proptest! {
     fn no_sample_is_closer_than_the_reported_approach(
         ends in points(4), times in prop::array::uniform4(0.1..5.0f64), lifts in prop::array::uniform2(-2.0..2.0f64), even: bool
     ) {
-        let way = |index: usize| Way {
+        let way = |index: usize| Route {
             from: ends[index], to: ends[index + 2], begin: times[index], length: times[index + 2], lift: lifts[index],
         };
         let (a, mut b) = (way(0), way(1));
-        let a = if even { Way { lift: 0.0, ..a } } else { a };
+        let a = if even { Route { lift: 0.0, ..a } } else { a };
         if even {
-            b = Way { begin: a.begin, length: a.length, lift: 0.0, ..b };
+            b = Route { begin: a.begin, length: a.length, lift: 0.0, ..b };
         }
         let found = closest(&a, &b, 1e3).unwrap();
         let sampled = sampled(&a, &b);

@@ -11,7 +11,7 @@ pub const CURVATURE: f64 = 5.773_502_691_896_258;
 /// A route: from + (to - from) u + lift 4 u (1 - u) upwards. Here, u is the minimum jerk law at the share of the duration that has
 /// passed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Way {
+pub struct Route {
     /// Start of the route, in metres.
     pub from: Point,
     /// End of the route, in metres.
@@ -24,7 +24,7 @@ pub struct Way {
     pub lift: f64,
 }
 
-impl Way {
+impl Route {
     /// Creates a route without an arc; times are in seconds.
     pub const fn straight(from: Point, to: Point, begin: f64, length: f64) -> Self {
         Self { from, to, begin, length, lift: 0.0 }

@@ -9,10 +9,10 @@ use super::{OnDevice, Performer, room};
 use crate::compile::ahead::{WAYS_MIN, together};
 use crate::compile::cast::{Members, Positions};
 use crate::compile::check_values;
-use crate::compile::overlap::overlap;
+use crate::compile::overlap::Overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
-use crate::ensemble::{self, Action, Asked, Axis, Dancer, Fault, Moved, Together};
+use crate::ensemble::{self, Action, Axis, Dancer, DancerMovement, Fault, GroupTask, Together};
 use crate::exact::Exact;
 use crate::finding::{Code, Pending};
 use crate::fleet::settable_limits;
@@ -128,7 +128,7 @@ impl<'a> Performer<'_, 'a> {
         if is_formed && self.tell_moving(grouped, &dancers, |_, _| true) {
             return false;
         }
-        let asked = Asked { together: group, tolerance: cue.tolerance };
+        let asked = GroupTask { together: group, tolerance: cue.tolerance };
         let rehearsed = cue.rehearsed.as_ref().and_then(|rehearsed| rehearsed.of(&dancers));
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
             Ok(ways) => {
@@ -170,13 +170,13 @@ impl<'a> Performer<'_, 'a> {
         let Fault::TooShort { seconds, .. } = fault else { return false };
         let Grouped { cue, group, .. } = grouped;
         let longer = Together { over: fixes::up(*seconds), ..group.clone() };
-        let asked = Asked { together: &longer, tolerance: cue.tolerance };
+        let asked = GroupTask { together: &longer, tolerance: cue.tolerance };
         let Ok(ways) = ensemble::ways(asked, dancers, ground.of_scenario) else { return false };
         let before = self.findings.found.len();
         for (dancer, moved) in dancers.iter().zip(&ways) {
             for dance in dances(cue, group, dancer, moved) {
                 let robots = [dance.robot];
-                let on = OnDevice::new(cue, (&dance.track, dance.device), &robots, self.cast);
+                let on = OnDevice::new(cue, &dance.track, dance.device, &robots, self.cast);
                 if let Motion::Curve(curve) = &dance.track.motion {
                     check_values::check(self.findings, &on, ControlType::Position, curve);
                 }
@@ -191,7 +191,7 @@ impl<'a> Performer<'_, 'a> {
         &mut self,
         Grouped { cue, group, .. }: Grouped<'_>,
         dancers: &[Dancer<'a>],
-        ways: &[Moved],
+        ways: &[DancerMovement],
         ground: Ground<'_>,
         before: usize,
     ) -> bool {
@@ -262,8 +262,9 @@ impl<'a> Performer<'_, 'a> {
                 let Some(last) = moving.max_by_key(|segment| segment.end()) else { continue };
                 if counts(number, axis) {
                     let robot = self.cast.id(dancer.robot).clone();
-                    let (start, before) = ((cue.name.as_str(), begin), (&*last.cue, last.end()));
-                    let fault = overlap(device, robot, start, before, group.place.clone());
+                    let (before, end) = (&*last.cue, last.end());
+                    let overlap = Overlap { cue: &cue.name, start: begin, before, end };
+                    let fault = overlap.fault(device, robot, group.place.clone());
                     self.findings.add_shared(fault);
                     is_moving = true;
                 }
@@ -314,7 +315,7 @@ impl<'a> Performer<'_, 'a> {
     fn dance(&mut self, cue: &Cue, time: &CueTime, dance: &Dance<'_>) {
         let Dance { robot, index, device, begin, length, track } = dance;
         let robots = [*robot];
-        let on = OnDevice::new(cue, (track, device), &robots, self.cast);
+        let on = OnDevice::new(cue, track, device, &robots, self.cast);
         let part = self.part(&on, Stretch { from: *length, to: *length });
         let Some(part) = part.filter(|_| self.used(cue, 1)) else {
             self.incomplete.insert(*robot);
@@ -343,7 +344,7 @@ struct Dance<'a> {
 }
 
 /// Returns the movements of the devices of one robot in a group.
-fn dances<'a>(cue: &Cue, group: &Together, dancer: &Dancer<'a>, moved: &Moved) -> Vec<Dance<'a>> {
+fn dances<'a>(cue: &Cue, group: &Together, dancer: &Dancer<'a>, moved: &DancerMovement) -> Vec<Dance<'a>> {
     // A robot that begins late ends with the others, to the nanosecond.
     let begin = Span::from_millis_f64(moved.begin * 1_000.0);
     let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;

@@ -3,7 +3,7 @@
 use std::borrow::Borrow;
 
 use super::{LineStarts, Wanted};
-use crate::finding::{Code, Part, Pending, Place};
+use crate::finding::{Code, PathStep, Pending, Place};
 use crate::source::Source;
 
 /// Maximum number of definitions that one finding shows.
@@ -94,7 +94,7 @@ fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -
 /// Returns the places at which each variable may be defined, in order of precedence.
 fn candidates(used: &Place, names: &[String], files: usize) -> Vec<Place> {
     let own = match used.path.as_slice() {
-        [Part::Key(kind, _), Part::Key(name, _), ..] if kind == "moves" || kind == "sequences" => {
+        [PathStep::Key(kind, _), PathStep::Key(name, _), ..] if kind == "moves" || kind == "sequences" => {
             Some([kind, name])
         }
         _ => None,

@@ -11,7 +11,7 @@ enum Style {
 
 /// Returns the byte offsets in `source` at which the characters `from` to `to` of `text` begin and end. `source` must begin with the YAML
 /// scalar for `text`. `None` if it begins with something else, such as an alias.
-pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> Option<(usize, usize)> {
+pub(super) fn offsets(source: &str, text: &str, from: usize, to: usize) -> Option<(usize, usize)> {
     let begin = after_properties(source);
     let style = match source[begin..].chars().next()? {
         '\'' => Style::Single,
@@ -130,7 +130,7 @@ mod tests {
     #[track_caller]
     fn check(source: &str, text: &str, part: &str, shown: Option<&str>) {
         let from = text[..text.find(part).unwrap()].chars().count();
-        let found = offsets(source, text, (from, from + part.chars().count()));
+        let found = offsets(source, text, from, from + part.chars().count());
         assert_eq!(found.map(|(from, to)| &source[from..to]), shown, "{source}");
     }
 

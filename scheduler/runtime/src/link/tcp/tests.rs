@@ -227,10 +227,10 @@ async fn link_occupies_at_most_its_places_in_the_queue() {
     let (host, port) = ("127.0.0.1".to_owned(), listener.local_addr().unwrap().port());
     let (events, mut happened) = mpsc::channel(10_000);
     let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security: Security::Plain };
-    let (asked, clock) = (crate::link::Asked::default(), ServerClock::anchored(Span::ZERO));
+    let (asked, clock) = (crate::link::SharedAllowance::default(), ServerClock::anchored(Span::ZERO));
     let of = (R0, LinkNumber(0));
     let of_robot = crate::link::OfRobot { asked, ..Default::default() };
-    let _link = Link::open_beside_others(of, (endpoint, of_robot), clock, events, Duration::ZERO);
+    let _link = Link::open_beside_others(of, endpoint, of_robot, clock, events, Duration::ZERO);
     let (mut stream, _) = listener.accept().await.unwrap();
     stream.write_all("x\n".repeat(900).as_bytes()).await.unwrap();
     let mut waiting = Vec::new();
@@ -260,9 +260,9 @@ fn linked_as(of_robot: crate::link::OfRobot, port: u16) -> (Link, mpsc::Receiver
         encoding: LinkEncoding::default(),
         security: Security::Plain,
     };
-    let (of, clock) = ((R0, LinkNumber(0)), ServerClock::anchored(Span::ZERO));
-    let events = crate::link::Events::Plain(events);
-    (Link::carrying(of, (endpoint, of_robot), clock, events, Duration::ZERO), happened)
+    let (clock, events) = (ServerClock::anchored(Span::ZERO), crate::link::Events::Plain(events));
+    let sink = crate::link::EventSink { robot: R0, link: Some(LinkNumber(0)), clock, events };
+    (Link::carrying(sink, endpoint, of_robot, Duration::ZERO), happened)
 }
 
 fn loss(event: &Event) -> Loss {

@@ -67,14 +67,12 @@ impl Said<'_> {
     /// robot, or never sent the script that the robot lacks, and the journal may not contain this.
     ///
     /// If the scheduler's clock was set in between, a script may seem older than a stop before it, and a report may seem too early.
-    /// Silence is not compared yet: a robot that accepts no inquiries may be blamed without an inquiry.
     fn followed_another_process(&self, robot: usize, kind: &FailureKind) -> bool {
         let Some(resumed) = self.resumed_at else { return false };
         let mut faults = self.facts.drawn().faults.iter();
         let is_set = faults.any(|(_, fault)| matches!(fault, Fault::ServerClockStep { .. }));
         let is_stop = |request: &ControlRequest| matches!(&request.command, Command::Script(script) if script.is_empty());
         match kind {
-            FailureKind::Silent { .. } => true,
             FailureKind::Claim { .. } => is_set,
             FailureKind::Script { error, .. } if error.code == ErrorCode::Cancelled => {
                 is_set || self.facts.reached(robot, |at, request| at < resumed && is_stop(request))

@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use parry3d_f64::math::{Pose, Rotation, Vector};
 use parry3d_f64::shape::{Cuboid, Segment};
 
-use super::super::part::{Core, Part};
+use super::super::part::{BodyPart, Core};
 use super::super::{Joint, JointKind};
 use super::*;
 
@@ -337,10 +337,10 @@ proptest! {
         place in [-0.5f64..0.5, -0.5..0.5, -0.5..0.5, -3.0..3.0], short in prop_oneof![Just(1.0), Just(1e-3), Just(0.0)],
     ) {
         let b = along([a, b], short);
-        let link = Part { core: Core::Segment(Segment::new(Vector::from_array(a), Vector::from_array(b))), radius: 0.0 };
+        let link = BodyPart { core: Core::Segment(Segment::new(Vector::from_array(a), Vector::from_array(b))), radius: 0.0 };
         let [x, y, z, yaw] = place;
         let pose = Pose::from_parts(Vector::new(x, y, z), Rotation::from_rotation_z(yaw));
-        let block = Part { core: Core::Box(pose, Cuboid::new(Vector::from_array(size) / 2.0)), radius: 0.0 };
+        let block = BodyPart { core: Core::Box(pose, Cuboid::new(Vector::from_array(size) / 2.0)), radius: 0.0 };
         let place = Place::of(place);
         let expected = least(|s| to_box(along([a, b], s), &place, size));
         for (found, name) in [(link.gap(&block), "link first"), (block.gap(&link), "box first")] {
@@ -356,7 +356,7 @@ proptest! {
         let b = [b[0], std::array::from_fn(|i| b[0][i] + alike * b[1][i] + (1.0 - alike) * (a[1][i] - a[0][i]))];
         let part = |ends: [[f64; 3]; 2]| {
             let [a, b] = ends.map(Vector::from_array);
-            Part { core: Core::Segment(Segment::new(a, b)), radius: 0.0 }
+            BodyPart { core: Core::Segment(Segment::new(a, b)), radius: 0.0 }
         };
         let (found, expected) = (part(a).gap(&part(b)).distance, least(|s| to_link(along(a, s), b)));
         prop_assert!((found - expected).abs() < 1e-6, "{found}, expected {expected}");

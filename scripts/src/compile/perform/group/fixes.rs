@@ -7,7 +7,8 @@ use urrcp::{ControlType, Span};
 use super::Ground;
 use crate::duration::written;
 use crate::ensemble::{
-    self, Action, Asked, Axis, Dancer, Fault, Form, Moved, Sweep, Target, Together, WrittenFormation,
+    self, Action, Axis, Dancer, DancerMovement, Fault, Form, GroupTask, Sweep, Target, Together,
+    WrittenFormation,
 };
 use crate::fleet::limits_of;
 use crate::formation::{Formation, Point};
@@ -71,7 +72,7 @@ impl<'f> Fixes<'f> {
     }
 
     /// Suggests a change that keeps the ends of the movements within the limits of the devices.
-    pub(super) fn within_limits(mut self, ways: &[Moved]) -> Option<String> {
+    pub(super) fn within_limits(mut self, ways: &[DancerMovement]) -> Option<String> {
         match &self.group.action {
             Action::Form(Form { to: Target::Formation(_), .. }) => {
                 let middle = self.formation()?.0.placing.middle_on_stage();
@@ -110,7 +111,7 @@ impl<'f> Fixes<'f> {
 
     /// Returns the largest share of all movements that ends within the limits of all devices; 1 if the whole movements do. The share of a
     /// movement counts from the coordinate that `from` returns. `None` if the share is not finite.
-    fn part_within(&self, ways: &[Moved], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
+    fn part_within(&self, ways: &[DancerMovement], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
         let mut least = 1.0f64;
         for (dancer, moved) in self.dancers.iter().zip(ways) {
             let end = moved.end();
@@ -239,16 +240,16 @@ impl<'f> Fixes<'f> {
         together: &Together,
         dancers: &[Dancer<'_>],
         formations: &HashMap<String, WrittenFormation>,
-    ) -> Option<Result<Vec<Moved>, Fault>> {
+    ) -> Option<Result<Vec<DancerMovement>, Fault>> {
         self.left = self.left.checked_sub(1)?;
         let ground = ensemble::Ground { formations, ..self.ground.of_scenario };
-        let asked = Asked { together, tolerance: self.cue.tolerance };
+        let asked = GroupTask { together, tolerance: self.cue.tolerance };
         let ways = ensemble::ways(asked, dancers, ground);
         Some(ways.and_then(|ways| if self.are_within(&ways) { Ok(ways) } else { Err(Fault::ToldElsewhere) }))
     }
 
     /// Whether all movements of the group end within the limits of its devices.
-    pub(super) fn are_within(&self, ways: &[Moved]) -> bool {
+    pub(super) fn are_within(&self, ways: &[DancerMovement]) -> bool {
         self.dancers.iter().zip(ways).all(|(dancer, moved)| {
             let within = |(axis, to): (&Axis<'_>, f64)| {
                 ends(axis).is_none_or(|[low, high]| to >= low - ROUNDING && to <= high + ROUNDING)

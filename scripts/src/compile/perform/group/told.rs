@@ -16,6 +16,22 @@ use super::Ground;
 
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
+/// Kind of a definition in a scenario that group movements refer to by name.
+#[derive(Clone, Copy)]
+enum Definition {
+    Formation,
+    Path,
+}
+
+impl Definition {
+    const fn code_and_name(self) -> (Code, &'static str) {
+        match self {
+            Self::Formation => (Code::UnknownFormation, "formation"),
+            Self::Path => (Code::UnknownPath, "path"),
+        }
+    }
+}
+
 impl Performer<'_, '_> {
     /// Reports robots without a body that the group could move, and robots whose position in space is unknown.
     pub(super) fn tell_excluded(
@@ -105,7 +121,7 @@ impl Performer<'_, '_> {
             Fault::Blocked(blocked) => self.tell_blocked(cue, group, robots, blocked, fix),
             Fault::UnknownFormation | Fault::Count { .. } | Fault::Crowded { .. } => {
                 if let Some(name) = group.formation() {
-                    self.tell_of_formation(group, name, robots.len(), fault, (ground, fix));
+                    self.tell_of_formation(group, name, robots.len(), fault, ground, fix);
                 }
             }
             _ => {
@@ -123,7 +139,8 @@ impl Performer<'_, '_> {
         name: &str,
         robots: usize,
         fault: &Fault,
-        (ground, fix): (Ground<'_>, Option<String>),
+        ground: Ground<'_>,
+        fix: Option<String>,
     ) {
         let here = group.place.clone();
         match fault {
@@ -134,13 +151,7 @@ impl Performer<'_, '_> {
                     .paths
                     .contains_key(name)
                     .then(|| format!("`{0}` is a path: write `along: {0}`", shortened(name)));
-                self.tell_unknown(
-                    Code::UnknownFormation,
-                    "formation",
-                    name,
-                    named.collect(),
-                    (here, elsewhere),
-                );
+                self.tell_unknown(Definition::Formation, name, named.collect(), here, elsewhere);
             }
             Fault::Count { places } => {
                 let (robots_are, places_are) = (counted(robots, "robot"), counted(*places, "place"));
@@ -191,7 +202,7 @@ impl Performer<'_, '_> {
                     .formations
                     .contains_key(&course.path)
                     .then(|| format!("`{name}` is a formation: write `form: {name}`"));
-                self.tell_unknown(Code::UnknownPath, "path", &course.path, named, (there, elsewhere));
+                self.tell_unknown(Definition::Path, &course.path, named, there, elsewhere);
             }
             Fault::OpenLaps(laps) => {
                 let message = format!("{laps} laps of `{name}`, which does not end where it starts");
@@ -241,12 +252,13 @@ impl Performer<'_, '_> {
     /// Reports an unknown name. `elsewhere` describes an object of another kind that has this name, if there is one.
     fn tell_unknown(
         &mut self,
-        code: Code,
-        what: &str,
+        definition: Definition,
         name: &str,
         mut known: Vec<&str>,
-        (place, elsewhere): (Place, Option<String>),
+        place: Place,
+        elsewhere: Option<String>,
     ) {
+        let (code, what) = definition.code_and_name();
         if self.findings.is_wrong(&format!("{what}s")) {
             return;
         }
