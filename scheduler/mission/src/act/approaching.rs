@@ -11,8 +11,10 @@
 use downbeat_plan::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
 
+use super::PromisedStage::{Approaching, Committed};
+use super::playing::Playing;
 use super::timing::Leases;
-use super::{Act, ActAction, Stage, Timing};
+use super::{Act, ActAction, Promised, PromisedStage, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::Record;
 use crate::robot_state::{RobotState, Robots};
@@ -168,13 +170,13 @@ impl Act {
     /// Performs the step that is due before the start: a round of questions, the record of the commitment, or the commitment itself.
     pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         if self.present().next().is_none() {
-            self.stage = Stage::Deserted;
+            self.enter(PromisedStage::Deserted);
             return Vec::new();
         }
         if self.has_to_ask_late(now, robots) {
             return self.ask_late(now, robots);
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return Vec::new();
         };
         if approach.was_taken_up_too_late(timing) {
@@ -195,7 +197,7 @@ impl Act {
         if self.may_be_recorded(now, robots) {
             actions.push(ActAction::Record(Record::Committed { number: self.number }));
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return actions;
         };
         if !actions.is_empty() {
@@ -209,7 +211,9 @@ impl Act {
     /// Whether another round of questions is needed and possible after the critical instant, because this process stalled during the last
     /// rounds.
     fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
-        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &self.stage else {
+            return false;
+        };
         let since = approach.since(timing);
         approach.may_ask_late(now, timing)
             && self.present().any(|member| !member.holds_since(&robots[member.robot], since))
@@ -217,7 +221,7 @@ impl Act {
 
     fn ask_late(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let actions = self.round(now, robots);
-        if let Stage::Approaching(approach) = &mut self.stage {
+        if let Some(Approaching(approach)) = self.stage.promised_mut() {
             (approach.rounds, approach.late_round) = ([now, now], Some(now));
         }
         actions
@@ -225,7 +229,9 @@ impl Act {
 
     /// Whether to write the record of the commitment now. It is written before the commitment can be sent, because the disk may be slow.
     fn may_be_recorded(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
-        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &self.stage else {
+            return false;
+        };
         if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
             return false;
         }
@@ -239,7 +245,7 @@ impl Act {
     /// Commits the act once all conditions hold, or gives it up in time. Called after the critical instant (the end of regular
     /// questions).
     fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return Vec::new();
         };
         let (since, commit_by, fail_by) =
@@ -283,8 +289,10 @@ impl Act {
         since: Timestamp<Server>,
         robots: &Robots,
     ) -> Vec<(RobotIndex, FailureKind)> {
-        let blamed = match (&self.stage, &self.timing) {
-            (Stage::Approaching(approach), Some(timing)) => approach.blames_silence(now, timing),
+        let blamed = match &self.stage {
+            Stage::Promised(Promised { timing, stage: Approaching(approach) }) => {
+                approach.blames_silence(now, timing)
+            }
             _ => true,
         };
         let short = self.present().filter(|member| !member.holds_since(&robots[member.robot], since));
@@ -304,14 +312,14 @@ impl Act {
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
-        let Some(timing) = &self.timing else { return Vec::new() };
+        let Some(timing) = self.timing() else { return Vec::new() };
         let next_round = timing.out_of_quiet(now + timing.pace.period);
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;
         let begun = timing.out_of_quiet(timing.begun());
         let room = timing.begins();
-        self.stage =
-            Stage::Committed(Commitment { next_round, since: now, begun, room, heard: 0, told, doubt });
+        let commitment = Commitment { next_round, since: now, begun, room, heard: 0, told, doubt };
+        self.enter(Committed(commitment));
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
@@ -323,7 +331,7 @@ impl Act {
             return vec![ActAction::Fail(doubtful)];
         }
         let mut actions = self.note_answers(now, robots);
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return actions;
         };
         let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
@@ -332,7 +340,7 @@ impl Act {
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
         if begun {
-            self.begin(now)
+            self.enter(PromisedStage::Playing(Playing::beginning(now)));
         } else {
             actions.extend(self.make_room(now, robots))
         }
@@ -342,12 +350,12 @@ impl Act {
     /// Sends further scripts to robots whose clocks are ahead. Such a robot may have played a script, and need the next one, before the
     /// last robot has started.
     fn make_room(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
-        if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
+        if !matches!(self.stage.promised(), Some(Committed(commitment)) if now >= commitment.room) {
             return Vec::new();
         }
         let actions = self.look_for_ends(now, robots);
         let next = self.next_watch(now, robots);
-        if let Stage::Committed(commitment) = &mut self.stage {
+        if let Some(Committed(commitment)) = self.stage.promised_mut() {
             // Scripts are also sent in the quiet around the start, because a robot would refuse a later one as late.
             commitment.room = next;
         }
@@ -357,7 +365,7 @@ impl Act {
     /// Returns the robots that have not answered the commitment in time to withdraw it, if the scenario requests a withdrawal in this
     /// case. It is unknown whether these robots will start.
     fn doubtful(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return Vec::new();
         };
         let due = commitment.doubt.take_if(|at| now >= *at).is_some();
@@ -376,7 +384,7 @@ impl Act {
     }
 
     fn note_answers(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &mut self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return Vec::new();
         };
         let since = commitment.since;

@@ -308,6 +308,11 @@ impl Member {
     }
 }
 
+/// Returns the members that still take part.
+pub(super) fn present(members: &Members) -> impl Iterator<Item = &Member> {
+    members.iter().filter(|member| member.takes_part())
+}
+
 /// Returns the members of an act: the robots of the act that take part in the mission.
 pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &Robots) -> Members {
     members_among(plan, robots, |robot| robot.standing == Standing::In)

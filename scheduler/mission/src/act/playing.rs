@@ -5,7 +5,7 @@ use urrcp::{
 };
 
 use super::timing::CLOCK_UNKNOWN;
-use super::{Act, ActAction, Member, Stage, Timing};
+use super::{Act, ActAction, Member, PromisedStage, Timing};
 use crate::claim::{Possible, Times, Told};
 use crate::failure_kind::FailureKind;
 use crate::robot_state::{Reading, RobotState, Robots};
@@ -39,6 +39,10 @@ pub(super) struct Playing {
 }
 
 impl Playing {
+    pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
+        Self { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 }
+    }
+
     /// Returns the time of the next check. If the check is due now, returns `at_once`, an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
         self.watch.unwrap_or(at_once)
@@ -57,11 +61,6 @@ pub(crate) struct Noted {
 }
 
 impl Act {
-    pub(super) fn begin(&mut self, now: Timestamp<Server>) {
-        let playing = Playing { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 };
-        self.stage = Stage::Playing(playing);
-    }
-
     /// Whether the robot has ended a script because the operator's key is no longer valid. It has then ended all commands of the session,
     /// and rests.
     pub(crate) fn was_barred(&self, script: ScriptRef, response: &ControlResponse) -> bool {
@@ -111,8 +110,7 @@ impl Act {
     /// `Started` response may be lost, for example because the robot sent it to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
-        let start =
-            self.timing.as_ref().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
+        let start = self.timing().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
         let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
         let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
         let accepted = match planned.state() {
@@ -134,7 +132,7 @@ impl Act {
         if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
             return noted;
         }
-        let start = self.timing.as_ref().map(|timing| timing.start + self.script(script).plan.start.span());
+        let start = self.timing().map(|timing| timing.start + self.script(script).plan.start.span());
         let member = &mut self.members[script.member];
         if let Some((told, start)) = report.start_timestamp.zip(start)
             && member.scripts()[script.script].shift_is_lost()
@@ -152,8 +150,8 @@ impl Act {
             None => script.reported(report, asked_at, said_at),
         });
         let begins = self
-            .timing
-            .as_ref()
+            .stage
+            .timing()
             .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
         // The robot may have received and played the script, and then forgotten it.
         let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
@@ -185,7 +183,7 @@ impl Act {
     fn possible(&self, member: &Member, script: &Script, robot: &RobotState, told: &Told) -> Possible {
         let reading = robot.clock_at(told.arrived());
         let shift = member.shift_of(script);
-        let times = self.timing.as_ref().map(|timing| Times {
+        let times = self.timing().map(|timing| Times {
             sent: timing.timestamp,
             start: (timing.start + script.plan.start.span() + shift).assume_clock(),
             duration: script.duration(),
@@ -200,7 +198,7 @@ impl Act {
         let member = &self.members[script.member];
         let robot = member.robot;
         let id = robots[robot].id.clone();
-        let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
+        let accepted = |member: &Member| self.timing().is_some_and(|it| member.has_accepted(it));
         let mut actions = Vec::new();
         if news == News::Accepted && member.waits_for(script.script) {
             // The following scripts of the device are sent once the first one has arrived.
@@ -209,7 +207,9 @@ impl Act {
         match &news {
             // Robots are expected to drop these scripts: the act is prepared again with other requests.
             News::Failed(_) | News::NeverReceived if self.is_lapsing() => {}
-            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
+            News::Accepted
+                if matches!(self.stage.promised(), Some(PromisedStage::Preparing(_))) && accepted(member) =>
+            {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
             News::Started => {
@@ -250,7 +250,7 @@ impl Act {
         if script.shift_is_lost() {
             return None;
         }
-        let planned = self.timing.as_ref()?.start + script.starts() + member.shift_of(script);
+        let planned = self.timing()?.start + script.starts() + member.shift_of(script);
         Some(script.started_at()? - planned.assume_clock())
     }
 
@@ -258,14 +258,14 @@ impl Act {
     pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let shift = member.shift_of(planned);
-        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + shift);
+        let end = self.timing().map(|timing| planned_end(timing.start, planned) + shift);
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
     /// Returns the difference between the reported start or end of a script and the planned one, by its robot's clock.
     pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
         let (member, planned) = (&self.members[script.member], self.script(script));
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let due = match response.status {
             urrcp::Status::Started => start + planned.starts(),
             _ => planned_end(start, planned),
@@ -282,22 +282,22 @@ impl Act {
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
         if self.has_ended(now, robots) {
-            self.stage = Stage::Over;
+            self.enter(PromisedStage::Over);
             return actions;
         }
-        let Stage::Playing(playing) = &self.stage else { return actions };
+        let Some(PromisedStage::Playing(playing)) = self.stage.promised() else { return actions };
         if playing.watch.is_some_and(|at| now < at) {
             return actions;
         }
         actions.extend(self.refill_lapsed(now, robots));
         if self.has_ended(now, robots) {
-            self.stage = Stage::Over;
+            self.enter(PromisedStage::Over);
             return actions;
         }
         actions.extend(self.ask_for_overdue(now, robots));
         let next = self.next_watch(now, robots);
         let grace = self.report_grace(robots);
-        if let Stage::Playing(playing) = &mut self.stage {
+        if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
             playing.watch = Some(next);
             playing.grace = grace;
         }
@@ -312,7 +312,7 @@ impl Act {
 
     /// Returns the end of the last movement that continues after the last step of its script; `None` if no movement does.
     fn rests_until(&self) -> Option<Timestamp<Server>> {
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
         let resting = plans.filter(|plan| plan.rest > Span::ZERO);
         resting.map(|plan| start + plan.start.span() + plan.duration()).max()
@@ -320,7 +320,7 @@ impl Act {
 
     /// Whether no script of the act can still run. Each event checks only from the first member that is not done.
     fn is_played(&mut self, robots: &Robots) -> bool {
-        let Stage::Playing(playing) = &mut self.stage else { return false };
+        let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() else { return false };
         let done = |member: &&Member| !member.takes_part() || member.is_done();
         playing.done += self.members.iter().skip(playing.done).take_while(done).count();
         let mut rest = self.members.iter().skip(playing.done).filter(|member| member.takes_part());
@@ -339,10 +339,13 @@ impl Act {
     /// Brings forward the next check, if a member needs an earlier one. The member reports by itself and now plays another script. The
     /// checks of the other members are unchanged.
     fn watch_for(&mut self, member: MemberIndex, robots: &Robots) {
-        let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
+        let Some(PromisedStage::Playing(Playing { watch: Some(watch), grace, .. })) = self.stage.promised()
+        else {
+            return;
+        };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();
         let next = next.map_or(*watch, |next| next.min(*watch));
-        if let Stage::Playing(playing) = &mut self.stage {
+        if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
             playing.watch = Some(next);
         }
     }
@@ -362,7 +365,7 @@ impl Act {
 
     /// Marks scripts whose time has passed as lapsed (of unknown fate), on robots that cannot report it. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<RobotIndex> {
-        let Some(timing) = &self.timing else { return Vec::new() };
+        let Some(timing) = self.stage.timing() else { return Vec::new() };
         let grace = self.report_grace(robots);
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
@@ -423,7 +426,7 @@ impl Act {
         }
         let mut actions = Vec::new();
         if !ask.is_empty() {
-            if let Stage::Playing(playing) = &mut self.stage {
+            if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
                 playing.asked = Some(now);
             }
             for (place, since) in &ask {
@@ -447,7 +450,7 @@ impl Act {
         robot: &RobotState,
         grace: Span,
     ) -> Option<Timestamp<Server>> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         if lost_with_its_process(script, robot) {
             return None;
         }
@@ -477,7 +480,7 @@ impl Act {
     ) -> impl Iterator<Item = [Timestamp<Server>; 2]> + 'a {
         let robot = &robots[member.robot];
         member.under_way().filter_map(move |(_, script)| {
-            if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
+            if let Some(at) = lapses_at(self.timing()?, script, robot, grace) {
                 return Some([at; 2]);
             }
             let asked = self.report_due(member, script, robot, grace)?;
@@ -504,11 +507,12 @@ impl Act {
     /// a script again.
     fn patience_with_silent_ones(&self, robots: &Robots) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
-        let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
+        let asked =
+            matches!(self.stage.promised(), Some(PromisedStage::Playing(Playing { asked: Some(_), .. })));
         let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
         let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
         if silent && (asked || planned) {
-            ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+            ASK_AGAIN.max(longest_round_trip(self, robots))
         } else {
             Span::from_millis(3_600_000)
         }
@@ -530,7 +534,7 @@ impl Act {
         patience: Span,
     ) -> Option<Timestamp<Server>> {
         let member = self.member(robot).filter(|_| self.is_committed())?;
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let grace = self.report_grace(robots);
         let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
             let begins = timing.start + script.plan.start.span();
@@ -544,7 +548,7 @@ impl Act {
 
     /// Returns the shortest lease under which a robot now plays scripts of this act; `None` if it does not, or without a lease.
     pub(crate) fn running_lease(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Span> {
-        let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
+        let timing = self.timing().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begins = |script: &Script| timing.start + script.plan.start.span();
         if member.firsts().map(begins).min().is_none_or(|first| now < first) {
@@ -569,19 +573,19 @@ impl Act {
 
     /// Returns the next time after `now` at which a script that a robot holds begins; `None` if there is no such script.
     pub(crate) fn next_begin(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
     /// Returns the shortest lease that applies to a script from now on.
     pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
-        self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
+        self.members[script.member].shortest_lease(script.script, self.timing()?)
     }
 
     /// Returns the shortest lease of this act that must be renewed between two rounds of questions.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let before = (!self.is_playing()).then_some(timing.lead.lease);
         let leases = self.present().flat_map(|member| {
             let out = member.under_way().filter(|(_, script)| script.is_out());
@@ -609,7 +613,7 @@ impl Act {
 
     pub(super) fn reading_due(&self) -> Option<Timestamp<Server>> {
         let planned = self.written().readings.get(self.readings_asked)?;
-        Some(self.timing.as_ref()?.start + planned.at)
+        Some(self.timing()?.start + planned.at)
     }
 
     /// Stores a reading that the scenario requested.

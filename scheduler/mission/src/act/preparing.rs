@@ -4,7 +4,8 @@
 use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
 use super::approaching::Approach;
-use super::{Act, ActAction, Member, Members, Stage, Timing};
+use super::member::present;
+use super::{Act, ActAction, Member, Members, Promised, PromisedStage, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::{Promise, PromisedScript, Record};
 use crate::robot_state::{RobotState, Robots};
@@ -102,8 +103,7 @@ impl Act {
             slowest: timing.slowest.clone().map(|(robot, _)| robot),
         };
         let promise = self.promised(&timing, robots);
-        self.timing = Some(timing);
-        self.stage = Stage::Promised;
+        self.stage = Stage::Promised(Promised { timing, stage: PromisedStage::Recording });
         (names, vec![ActAction::Record(Record::Prepared(promise)), ActAction::Tell(tell)])
     }
 
@@ -133,19 +133,9 @@ impl Act {
         }
     }
 
-    /// Withdraws the act if the disk is so slow that the promise is not stored by the time of the decision.
-    pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
-        match &self.timing {
-            Some(timing) if now >= timing.decision => {
-                vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })]
-            }
-            _ => Vec::new(),
-        }
-    }
-
     /// Sends the requests, because the promise is on disk.
     pub(super) fn open(&mut self) -> Vec<ActAction> {
-        self.stage = Stage::Preparing(Preparing { asked: Asked::Once, accepted: 0 });
+        self.enter(PromisedStage::Preparing(Preparing { asked: Asked::Once, accepted: 0 }));
         vec![ActAction::Refill(self.present().map(|member| member.robot).collect())]
     }
 
@@ -157,22 +147,25 @@ impl Act {
     /// Decides whether the act starts, as soon as all robots have accepted or when the decision is due. It starts only if every robot has
     /// accepted all its scripts; otherwise, none starts.
     pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
-        let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: PromisedStage::Preparing(preparing) }) =
+            &mut self.stage
+        else {
             return Vec::new();
         };
+        let (timing, members) = (&*timing, &self.members);
         // Each event checks from the first member that has not accepted.
         let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
-        preparing.accepted += self.members.iter().skip(preparing.accepted).take_while(accepted).count();
-        let all = preparing.accepted == self.members.len();
+        preparing.accepted += members.iter().skip(preparing.accepted).take_while(accepted).count();
+        let all = preparing.accepted == members.len();
         if !all && now < timing.decision {
             if preparing.asked == Asked::Again || now < timing.ask_again() {
                 return Vec::new();
             }
             preparing.asked = Asked::Again;
-            return unanswered(self.number, timing, &self.members, robots);
+            return unanswered(self.number, timing, members, robots);
         }
-        if self.present().next().is_none() {
-            self.stage = Stage::Deserted;
+        if present(members).next().is_none() {
+            self.enter(PromisedStage::Deserted);
             return Vec::new();
         }
         // A late decision would leave too little time for the leases to end before the start.
@@ -185,7 +178,7 @@ impl Act {
                 had_time || robots[member.robot].broken().is_some()
             };
             let slow: Vec<&Member> =
-                self.present().filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
+                present(members).filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
             if slow.is_empty() {
                 return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
             }
@@ -204,11 +197,11 @@ impl Act {
         if !early.is_empty() {
             return vec![ActAction::Fail(early)];
         }
-        let Some(timing) = &mut self.timing else { return Vec::new() };
+        let Some(timing) = self.stage.timing_mut() else { return Vec::new() };
         timing.accepted_at = Some(now);
         let (start, doubt) = (timing.start, timing.doubt());
         tracing::info!(%start, "decided");
-        self.stage = Stage::Approaching(Approach::beginning(now));
+        self.enter(PromisedStage::Approaching(Approach::beginning(now)));
         let unnamed = self.present().map(|member| &robots[member.robot]);
         let unnamed = unnamed.filter(|robot| !robot.takes_inquiries()).map(|robot| robot.id.clone());
         let record = Record::Decided { number: self.number, unnamed: unnamed.collect(), doubt };
@@ -218,11 +211,19 @@ impl Act {
 
     /// Returns the progress that is reported at the decision. A process that takes over the act before its commitment also reports it.
     pub(crate) fn decided(&self) -> Option<Progress> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
         let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
         Some(Progress::Decided { act: self.name(), start, duration, leases_end, no_return, doubt })
     }
+}
+
+/// Withdraws the act if the disk is so slow that the promise is not stored by the time of the decision.
+pub(super) fn await_promise(now: Timestamp<Server>, timing: &Timing) -> Vec<ActAction> {
+    if now < timing.decision {
+        return Vec::new();
+    }
+    vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })]
 }
 
 /// Whether a robot has had at least half of the preparation time to accept its scripts. If the disk stored the promise late, it has had

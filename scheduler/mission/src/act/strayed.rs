@@ -3,7 +3,7 @@
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
-use super::{Act, ActAction, Member, Stage};
+use super::{Act, ActAction, Member, Promised, PromisedStage, Stage};
 use crate::clock::DRIFT_BOUND;
 use crate::failure_kind::FailureKind;
 use crate::robot_state::Robots;
@@ -19,7 +19,8 @@ impl Act {
     /// clock was set forward may start before the commitment. It is therefore reported as soon as its clock shows this, not only at the
     /// commitment.
     pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
-        if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
+        use PromisedStage::{Approaching, Preparing, Recording};
+        if !matches!(self.stage.promised(), Some(Recording | Preparing(_) | Approaching(_))) {
             return Vec::new();
         }
         let tolerance = self.written().plan.start_tolerance;
@@ -36,7 +37,7 @@ impl Act {
         robot: RobotIndex,
         robots: &Robots,
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let timing = self.timing().filter(|_| self.is_committed())?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         if member.clock_steps == Some(robots[robot].clock.steps()) {
             return None;
@@ -54,7 +55,7 @@ impl Act {
 
     /// Returns how far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
     fn deviation(&self, member: &Member, now: Timestamp<Server>, robots: &Robots) -> Option<(Span, Span)> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let state = &robots[member.robot];
         let reading = state.clock_at(now)?;
         let known = timing.skew.as_ref().and_then(|skew| skew.offset_of(&state.id));
@@ -110,18 +111,18 @@ impl Act {
     /// failures and silence move with the end of the leases, and are returned as progress to report. If there is no time left to end a
     /// lease before its robot starts, that robot fails.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
-        if !matches!(self.stage, Stage::Approaching(_)) {
+        let Stage::Promised(Promised { timing, stage: PromisedStage::Approaching(_) }) = &self.stage else {
             return Vec::new();
-        }
+        };
         let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
         let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
-        let (Some(timing), Some(shown)) = (&self.timing, shown) else { return Vec::new() };
+        let Some(shown) = shown else { return Vec::new() };
         let before = (timing.no_return(), timing.doubt());
         let early = self.allow_for_shown(now, &shown, robots);
         if !early.is_empty() {
             return vec![ActAction::Fail(early)];
         }
-        let Some(timing) = &self.timing else { return Vec::new() };
+        let Some(timing) = self.timing() else { return Vec::new() };
         let changed = before != (timing.no_return(), timing.doubt());
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }
@@ -134,7 +135,7 @@ impl Act {
         shown: &SkewBudget,
         robots: &Robots,
     ) -> Vec<(RobotIndex, FailureKind)> {
-        let Some(timing) = &mut self.timing else { return Vec::new() };
+        let Some(timing) = self.stage.timing_mut() else { return Vec::new() };
         if timing.allow_for(now, shown.early_and_late()) {
             return Vec::new();
         }
@@ -151,9 +152,16 @@ impl Act {
         robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref().filter(|timing| now <= timing.no_return())?;
-        let waits = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_));
-        let member = self.member(robot).filter(|member| waits && member.takes_part())?;
+        use PromisedStage::{Approaching, Committed, Preparing};
+        let Stage::Promised(Promised { timing, stage: Preparing(_) | Approaching(_) | Committed(_) }) =
+            &self.stage
+        else {
+            return None;
+        };
+        if now > timing.no_return() {
+            return None;
+        }
+        let member = self.member(robot).filter(|member| member.takes_part())?;
         let lease = timing.lead.lease;
         let unreached = |script: &Script| Some(at - script.accepted_at()?.max(before));
         let over = |script: &&Script| {
@@ -170,7 +178,7 @@ impl Act {
         robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
         member.under_way().filter(|(_, script)| script.is_unaccounted()).find_map(|(_, script)| {
             let lease = script.longest_lease()?;
