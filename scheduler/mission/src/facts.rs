@@ -232,7 +232,7 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
             ScriptState::Running if script.has_started() => DeviceState::Started,
             ScriptState::Running => DeviceState::Accepted,
             ScriptState::Ended(Ending::Completed) => DeviceState::Ended,
-            ScriptState::Ended(Ending::Failed(_)) => DeviceState::Failed,
+            ScriptState::Ended(Ending::Failed(_) | Ending::Discredited(_)) => DeviceState::Failed,
             ScriptState::Unknown => DeviceState::Unknown,
         },
         planned_start: act.timing().map(|timing| timing.start + script.starts()),

@@ -16,7 +16,7 @@ use super::failures::Failures;
 use super::latency::LatencyDiffers;
 use super::open_requests::OpenRequests;
 use super::requests::may_be_for_a_stop;
-use super::script::{Ending, Script, ScriptRef, ScriptState};
+use super::script::{Script, ScriptRef};
 use super::seize::Ownership;
 use super::{ActNumber, ClockMode, IndexVec, Loss, MissionSettings, Participant, RobotIndex};
 use crate::clock::{ClockEstimate, ClockReading};
@@ -154,7 +154,7 @@ impl Totals {
         self.sent += usize::from(!script.is_planned());
         // A script that has begun was accepted, even if the acceptance was lost.
         self.accepted += usize::from(script.was_accepted() || script.has_begun());
-        self.failed += usize::from(matches!(script.state(), ScriptState::Ended(Ending::Failed(_))));
+        self.failed += usize::from(script.has_failed());
         self.started += usize::from(script.has_started());
         self.steps_done += u64::from(script.steps_done());
         self.steps_planned += script.plan.script.steps().len() as u64;
