@@ -75,7 +75,7 @@ impl World {
         for action in actions {
             match action {
                 Action::Send { robot, message, .. } => {
-                    self.robots[robot].receive(now.assume_clock(), LINK, Input::Message(message));
+                    self.robots[robot.get()].receive(now.assume_clock(), LINK, Input::Message(message));
                 }
                 Action::Tell(Progress::ActEnded { .. }) => self.acts += 1,
                 Action::Record(record) if record.is_durable() => {
@@ -99,7 +99,7 @@ impl World {
             drop(self.robots[robot].take_log());
             for outgoing in out.drain(..) {
                 if let Outgoing::Message { message, .. } = outgoing {
-                    self.tell(now, Event::Received { robot, message });
+                    self.tell(now, Event::Received { robot: robot.into(), message });
                 }
             }
         }
@@ -127,7 +127,7 @@ fn memory_does_not_grow_during_second_half_of_hour_long_mission() {
     let robots = (0..ROBOTS).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
     let mut world = World { mission, robots, acts: 0, recorded: 0 };
     for robot in 0..ROBOTS {
-        world.tell(BEGIN, Event::LinkUp { robot });
+        world.tell(BEGIN, Event::LinkUp { robot: robot.into() });
     }
     let (mut now, mut half) = (BEGIN, None);
     let mut after = None;

@@ -78,7 +78,7 @@ pub async fn on_receipt(fleet: &Fleet) {
     let clock = ServerClock::anchored(Span::ZERO);
     let links: Vec<_> = (0..ROBOTS)
         .map(|id| {
-            let link = (id, LinkNumber(id as u64));
+            let link = (id.into(), LinkNumber(id as u64));
             Link::open(link, fleet.endpoint(id), clock, events.clone(), std::time::Duration::ZERO)
         })
         .collect();

@@ -1,7 +1,7 @@
 //! Creates records of missions for tests.
 
 use downbeat_mission::report::{ActFate, ActReport, DeviceReport, DeviceState};
-use downbeat_mission::{ActFlaws, ActOver, LeadTime, Promise, PromisedScript, Record};
+use downbeat_mission::{ActFlaws, ActIndex, ActNumber, ActOver, LeadTime, Promise, PromisedScript, Record};
 use urrcp::{ContentHash, Millis, Span, Timestamp};
 
 /// A promised script for the device `d` of the robot `r`.
@@ -21,8 +21,8 @@ pub(crate) fn script(request: &str, content_hash: ContentHash) -> PromisedScript
 /// The record of an act that is sent at the start of 1970.
 pub(crate) fn prepared(number: u32, scripts: Vec<PromisedScript>) -> Record {
     Record::Prepared(Promise {
-        number,
-        act: number as usize,
+        number: ActNumber::new(number),
+        act: ActIndex::new(number as usize),
         timestamp: Timestamp::from_nanos(0),
         start: Timestamp::from_nanos(0),
         lease: Span::ZERO,
@@ -34,7 +34,7 @@ pub(crate) fn prepared(number: u32, scripts: Vec<PromisedScript>) -> Record {
 /// The record of an act that was played.
 pub(crate) fn ended(report: ActReport) -> Record {
     Record::ActEnded {
-        over: ActOver { act: report.number as usize, fate: ActFate::Played },
+        over: ActOver { act: ActIndex::new(report.number.get() as usize), fate: ActFate::Played },
         report: Box::new(report),
         flaws: ActFlaws::default(),
         again: false,
@@ -45,7 +45,7 @@ pub(crate) fn ended(report: ActReport) -> Record {
 pub(crate) fn report(act: &str, number: u32) -> ActReport {
     ActReport {
         act: act.to_owned(),
-        number,
+        number: ActNumber::new(number),
         timestamp: Timestamp::from_nanos(0),
         start: Timestamp::from_nanos(0),
         lead: LeadTime { prepare: Span::ZERO, lease: Span::ZERO, margin: Span::ZERO },

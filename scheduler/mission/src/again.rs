@@ -7,7 +7,7 @@ use super::act::{Member, Progressed};
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::Rest;
-use super::{Mission, Outcome, Phase};
+use super::{ActIndex, ActNumber, Mission, Outcome, Phase, RobotIndex};
 
 /// The maximum number of times that an act is prepared again.
 const AGAIN_MAX: u32 = 2;
@@ -22,18 +22,18 @@ const OVERDUE: Span = Span::from_millis(5);
 /// act lapses without a stop, because a stop would end both acts.
 #[derive(Debug)]
 pub(super) struct Again {
-    act: usize,
+    act: ActIndex,
     attempts: u32,
     /// The fixed start of the act; `None` if the start is not fixed.
     start: Option<Timestamp<Server>>,
     /// Robots that would count as failed if this machine were not suspected to be the cause. They fail if they do not confirm their stop.
-    suspended: Vec<(usize, FailureKind)>,
+    suspended: Vec<(RobotIndex, FailureKind)>,
     hold_up: Span,
 }
 
 impl Mission {
     /// Withdraws an act that this machine was too slow to start, and prepares it again if that is permitted.
-    pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: u32, outcome: Outcome) {
+    pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: ActNumber, outcome: Outcome) {
         if self.may_be_prepared_again(now, number) {
             self.prepare_again(now, outcome, Vec::new())
         } else {
@@ -47,8 +47,8 @@ impl Mission {
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
-        number: u32,
-        failing: Vec<(usize, FailureKind)>,
+        number: ActNumber,
+        failing: Vec<(RobotIndex, FailureKind)>,
     ) {
         // While the mission stops all robots, it no longer withdraws an act.
         let act = self.acts.iter().find(|act| act.number() == number);
@@ -60,7 +60,7 @@ impl Mission {
             let by = act.wakeup().map_or(Span::ZERO, |due| now - due);
             by.max(self.lateness.largest())
         });
-        let is_slowness = |(robot, kind): &(usize, FailureKind)| match kind {
+        let is_slowness = |(robot, kind): &(RobotIndex, FailureKind)| match kind {
             FailureKind::Silent { .. } => {
                 self.policy_of(*robot).is_none_or(|(what, _)| what != OnFailure::Without)
             }
@@ -87,7 +87,7 @@ impl Mission {
 
     /// Whether an act may be prepared again: it has attempts left, and no fixed start prevents a later one. While another act plays, all
     /// robots of this act must also drop it by themselves.
-    pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: u32) -> bool {
+    pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: ActNumber) -> bool {
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
         let (act, drops) = match self.acts.as_slice() {
             [act] => (act, true),
@@ -104,7 +104,7 @@ impl Mission {
         &mut self,
         now: Timestamp<Server>,
         outcome: Outcome,
-        suspended: Vec<(usize, FailureKind)>,
+        suspended: Vec<(RobotIndex, FailureKind)>,
     ) {
         if let [_, act] = self.acts.as_mut_slice() {
             act.is_not_started(outcome);

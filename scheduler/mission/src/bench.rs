@@ -9,8 +9,8 @@ use urrcp::{
     Step, StopCondition, Timestamp,
 };
 
-use super::Participant;
 use super::robot_state::RobotState;
+use super::{Participant, RobotIndex};
 
 /// How a test robot reports about its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +27,11 @@ pub(super) enum Tells {
 
 /// A script of a device: the device, its start and its playing time in milliseconds.
 pub(super) type Planned<'a> = (&'a str, i64, i64);
+
+/// The robots of a test, in order.
+pub(super) const R0: RobotIndex = RobotIndex::new(0);
+pub(super) const R1: RobotIndex = RobotIndex::new(1);
+pub(super) const R2: RobotIndex = RobotIndex::new(2);
 
 pub(super) const RUNNING: Span = Span::from_millis(2_000);
 pub(super) const TOLERANCE: Span = Span::from_millis(10);

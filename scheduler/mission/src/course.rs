@@ -13,7 +13,7 @@ use super::fates::ActFate;
 use super::record::{ActFlaws, ActOver, OutOfTolerance, Record, StepsLate};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
-use super::{Action, Mission, Outcome, Phase, Progress};
+use super::{ActIndex, ActNumber, Action, Mission, Outcome, Phase, Progress};
 
 /// The maximum number of rows in all kept reports of acts together. A row is one robot in one act.
 const ROWS_KEPT: usize = 20_000;
@@ -73,7 +73,7 @@ impl Mission {
 
     /// Performs the actions of an act in order. While the mission does not play acts, only failures and reports to the operator are
     /// processed.
-    pub(super) fn carry_out(&mut self, now: Timestamp<Server>, number: u32, actions: Vec<ActAction>) {
+    pub(super) fn carry_out(&mut self, now: Timestamp<Server>, number: ActNumber, actions: Vec<ActAction>) {
         for action in actions {
             if matches!(self.phase, Phase::Ended) {
                 return;
@@ -97,7 +97,7 @@ impl Mission {
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be awaited.
                     if matches!(what, Reading::Wait(_) | Reading::Motion(..)) {
-                        self.robots[robot].reads.forget(|waits| *waits == what);
+                        self.robots[robot].requests.forget_readings(|waits| *waits == what);
                     }
                     self.read(now, robot, sensor, what);
                 }
@@ -106,7 +106,7 @@ impl Mission {
     }
 
     /// Skips an act whose condition was not met in time.
-    fn skip_act(&mut self, now: Timestamp<Server>, number: u32, way: Way) {
+    fn skip_act(&mut self, now: Timestamp<Server>, number: ActNumber, way: Way) {
         if let Some(at) = self.acts.iter().position(|act| act.number() == number) {
             let act = self.acts.remove(at);
             let fate = ActFate::timed_out(&act);
@@ -125,16 +125,16 @@ impl Mission {
         if !(last.is_committed() || last.is_over()) || !self.may_begin_another() {
             return;
         }
-        let way = self.detour.map_or(last.follow(), Way::Act);
+        let way = self.detour.map_or(last.follow(), |act| Way::Act(act.get()));
         if let Way::Act(act) = way {
             self.detour = None;
-            self.line_up_act(now, act);
+            self.line_up_act(now, ActIndex::new(act));
         }
     }
 
     /// Makes the mission continue with another act after a failure. An act that waits for the playing one to end is removed, unless it
     /// was sent.
-    pub(super) fn lead_elsewhere(&mut self, act: usize) {
+    pub(super) fn lead_elsewhere(&mut self, act: ActIndex) {
         self.detour = Some(act);
         if let [.., _, waiting] = self.acts.as_slice()
             && !waiting.was_sent()
@@ -146,13 +146,13 @@ impl Mission {
 
     /// Continues the mission after an act has ended while no other act is queued.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
-        let way = self.detour.take().map_or(follow, Way::Act);
+        let way = self.detour.take().map_or(follow, |act| Way::Act(act.get()));
         self.go_way(now, way);
     }
 
     pub(super) fn go_way(&mut self, now: Timestamp<Server>, way: Way) {
         match way {
-            Way::Act(act) if self.may_begin_another() => self.line_up_act(now, act),
+            Way::Act(act) if self.may_begin_another() => self.line_up_act(now, ActIndex::new(act)),
             Way::Act(_) => {
                 self.bounded = true;
                 self.come_to_the_end();
@@ -167,7 +167,7 @@ impl Mission {
     }
 
     fn come_to_the_end(&mut self) {
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if let Some(reason) = self.robots[robot].why_it_never_joined() {
                 self.note_failure(robot, FailureKind::NeverJoined { reason });
             }
@@ -194,7 +194,7 @@ impl Mission {
         if self.robots.iter().any(is_out) {
             return Outcome::DoneWithout;
         }
-        let fates = self.fates.iter().enumerate().filter(|(_, act)| act.was_skipped());
+        let fates = self.fates.enumerated().filter(|(_, act)| act.was_skipped());
         let skipped = fates.map(|(act, _)| act_name(&self.choreography, act));
         match skipped.collect::<Vec<_>>() {
             none if none.is_empty() => Outcome::Done,
@@ -203,7 +203,7 @@ impl Mission {
     }
 
     /// Queues an act, which begins to wait for its condition.
-    pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
+    pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: ActIndex) {
         let fixed = self.options.fixed.operator.filter(|fixed| fixed.act == index);
         let start = fixed.filter(|_| !std::mem::replace(&mut self.start_was_fixed, true));
         self.line_up_attempt(now, index, 0, start.map(|fixed| fixed.at));
@@ -213,13 +213,14 @@ impl Mission {
     pub(super) fn line_up_attempt(
         &mut self,
         now: Timestamp<Server>,
-        index: usize,
+        index: ActIndex,
         attempts: u32,
         start: Option<Timestamp<Server>>,
     ) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
-        let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
+        let mut act =
+            Act::new(choreography, index, ActNumber::new(self.acts_begun), &self.robots, now, before);
         if let Some(start) = start {
             act.starts_at(start);
         }
@@ -265,7 +266,8 @@ impl Mission {
     /// Returns the act to which a go applies now, or the reason why a go is ignored.
     fn awaits_go(&self, named: Option<&str>) -> Result<usize, String> {
         let known = |name: &str| {
-            (0..self.choreography.acts.len()).any(|act| act_name(&self.choreography, act) == name)
+            (0..self.choreography.acts.len())
+                .any(|act| act_name(&self.choreography, ActIndex::new(act)) == name)
         };
         if let Some(name) = named.filter(|name| !known(name)) {
             return Err(format!("unknown act `{name}`"));
@@ -314,7 +316,7 @@ impl Mission {
             let robot = &mut self.robots[member.robot];
             robot.left.clear();
             let names = member.scripts().iter().filter_map(Script::request_id);
-            names.for_each(|id| _ = robot.requests.remove(id));
+            names.for_each(|id| robot.requests.remove_script(id));
         }
         if let Some(report) = ActReport::new(&act, &self.robots) {
             let over = ActOver { act: act.index(), fate: self.fate_of(now, &act) };
@@ -463,7 +465,7 @@ impl Mission {
 
     /// Notes robots that join later and have missed their part in an act that was sent without them.
     fn note_missed(&mut self, act: &Act) {
-        for index in 0..self.robots.len() {
+        for index in self.robots.indices() {
             let robot = &self.robots[index];
             let late = robot.joined_late || robot.standing == Standing::Absent;
             let plays = || act.written().plan.robots.iter().any(|plan| plan.robot == robot.id);
@@ -486,7 +488,7 @@ impl Mission {
                 let error = act.start_error(member, script);
                 robot.totals.add(script, error);
                 if let Some(id) = script.request_id() {
-                    robot.requests.remove(id);
+                    robot.requests.remove_script(id);
                 }
             }
         }

@@ -9,7 +9,7 @@ use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 use super::failure_kind::Failure;
 use super::fates::ActFate;
 use super::robot_state::Rest;
-use super::{LeadTime, Preflight, Record, SkewBudget};
+use super::{ActNumber, LeadTime, Preflight, Record, RobotIndex, SkewBudget};
 use crate::clock::NtpState;
 
 /// An event outside the mission, which the driver passes to it.
@@ -18,12 +18,12 @@ pub enum Event {
     /// A link to a robot was made.
     LinkUp {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
     },
     /// A robot has proven its identity. [`Event::LinkUp`] follows for the link on which it did so.
     Proven {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The expiry of the robot's certificate, if the robot has presented one.
         until: Option<Timestamp<Server>>,
         /// Whether another authority replaces the one that issued the robot's certificate.
@@ -32,7 +32,7 @@ pub enum Event {
     /// A link to a robot broke or could not be made.
     LinkDown {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// What the loss shows about the robot.
         loss: Loss,
         /// The reason for the loss, as text for users.
@@ -41,14 +41,14 @@ pub enum Event {
     /// A message from a robot arrived.
     Received {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The message.
         message: Message,
     },
     /// Bytes from a robot arrived that are not a message.
     Garbled {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The fault in the bytes.
         reason: String,
     },
@@ -108,7 +108,7 @@ pub enum Action {
     /// Send a message on the robot's link.
     Send {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The message.
         message: Message,
         /// Whether the message goes ahead of all messages that wait to be sent.
@@ -117,7 +117,7 @@ pub enum Action {
     /// Connect to the robot again.
     Reconnect {
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The pause before the attempt.
         after: Span,
     },
@@ -241,7 +241,7 @@ pub enum Progress {
         /// Id of the robot.
         robot: RobotId,
         /// The number of the act in the mission, starting at 0.
-        number: u32,
+        number: ActNumber,
     },
     /// An act is not played, and the mission continues.
     ActSkipped {

@@ -8,9 +8,9 @@ use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 use super::act::{Act, Member};
 use super::events::TakenReading;
 use super::motion::{MotionReport, MotionSpread};
-use super::robot_state::{RobotState, Totals};
+use super::robot_state::{Robots, Totals};
 use super::script::{Ending, Script, ScriptState};
-use super::{LeadTime, SkewBudget};
+use super::{ActNumber, LeadTime, SkewBudget};
 
 /// The report of one act.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -18,7 +18,7 @@ pub struct ActReport {
     /// The name of the act.
     pub act: String,
     /// The number of the act in the mission, starting at 0.
-    pub number: u32,
+    pub number: ActNumber,
     /// The sending timestamp that all requests of the act shared.
     pub timestamp: Timestamp<Server>,
     /// The planned start.
@@ -143,7 +143,7 @@ pub struct DeviceReport {
 
 impl ActReport {
     /// Returns the report of an act; `None` if the act was not sent.
-    pub(super) fn new(act: &Act, robots: &[RobotState]) -> Option<Self> {
+    pub(super) fn new(act: &Act, robots: &Robots) -> Option<Self> {
         let timing = act.timing()?;
         let robot = |member: &Member| ActRobot {
             robot: robots[member.robot].id.clone(),
@@ -232,7 +232,7 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
             ScriptState::Running if script.has_started() => DeviceState::Started,
             ScriptState::Running => DeviceState::Accepted,
             ScriptState::Ended(Ending::Completed) => DeviceState::Ended,
-            ScriptState::Ended(Ending::Failed(_)) => DeviceState::Failed,
+            ScriptState::Ended(Ending::Failed(_) | Ending::Discredited(_)) => DeviceState::Failed,
             ScriptState::Unknown => DeviceState::Unknown,
         },
         planned_start: act.timing().map(|timing| timing.start + script.starts()),

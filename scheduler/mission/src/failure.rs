@@ -9,13 +9,19 @@ use super::failures::Noted;
 use super::record::Record;
 use super::robot_state::{Link, Lost, Rest, Standing};
 use super::script::{Script, ScriptRef, ScriptState};
-use super::{Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress};
+use super::{ActIndex, Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress, RobotIndex};
 
 /// How long, during the greeting, a robot that refuses connections may still be starting up.
 const STARTS_WITHIN: Span = Span::from_millis(500);
 
 impl Mission {
-    pub(super) fn link_down(&mut self, now: Timestamp<Server>, robot: usize, loss: Loss, reason: String) {
+    pub(super) fn link_down(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        loss: Loss,
+        reason: String,
+    ) {
         if self.phase == Phase::Ended {
             return;
         }
@@ -47,7 +53,7 @@ impl Mission {
     fn flooded(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         reason: String,
         (messages, bytes): (u64, u64),
     ) {
@@ -82,7 +88,7 @@ impl Mission {
         &mut self,
         now: Timestamp<Server>,
         deadline: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         reason: String,
     ) {
         if self.options.join == Join::NextAct {
@@ -100,7 +106,7 @@ impl Mission {
     }
 
     /// Reconnects to a robot, unless an attempt is already under way.
-    pub(super) fn reconnect(&mut self, robot: usize) {
+    pub(super) fn reconnect(&mut self, robot: RobotIndex) {
         let state = &mut self.robots[robot];
         let to_be_stopped = state.awaits_stop();
         if let Link::Lost(lost) = &mut state.link
@@ -113,7 +119,7 @@ impl Mission {
     }
 
     /// Replaces a pending attempt to reconnect, which may still wait for its pause to end, with an immediate attempt.
-    pub(super) fn reconnect_at_once(&mut self, robot: usize) {
+    pub(super) fn reconnect_at_once(&mut self, robot: RobotIndex) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
             self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
@@ -121,7 +127,7 @@ impl Mission {
 
     /// Handles a broken link. The robot continues with its script as far as its lease permits. It may reconnect until its scripts have
     /// certainly ended. If it refuses connections, its process no longer runs, and its scripts have ended.
-    fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
+    fn link_lost(&mut self, now: Timestamp<Server>, robot: RobotIndex, reason: String) {
         self.reconnect(robot);
         let gone = self.robots[robot].is_gone();
         if self.robots[robot].standing == Standing::Out {
@@ -153,8 +159,8 @@ impl Mission {
             return;
         }
         let mut failing = Vec::new();
-        for (index, robot) in self.robots.iter_mut().enumerate() {
-            let Some(lost) = robot.lost_mut() else { continue };
+        for index in self.robots.indices() {
+            let Some(lost) = self.robots[index].lost_mut() else { continue };
             if lost.give_up.take_if(|at| now >= *at).is_some() {
                 failing.push((index, FailureKind::LinkDown { reason: lost.reason.clone() }));
             }
@@ -170,7 +176,7 @@ impl Mission {
     }
 
     /// Handles a new link: asks the robot for the reports that this process has missed. The question also renews the leases.
-    pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
                 Greeting::Full => self.greet(now, robot),
@@ -194,7 +200,7 @@ impl Mission {
 
     /// Sends the scripts that were deferred until the robot has answered on its new link. The robot's clock is now known to be the one by
     /// which its scripts were converted.
-    pub(super) fn catch_up(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn catch_up(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         if self.phase != Phase::Performing || state.standing != Standing::In || state.stop_was_sent() {
             return;
@@ -207,7 +213,7 @@ impl Mission {
 
     /// Notes the first message from a robot on a new link, and reports that the robot is back. For a robot that was absent so far, this
     /// is reported when it joins.
-    pub(super) fn is_back(&mut self, robot: usize) {
+    pub(super) fn is_back(&mut self, robot: RobotIndex) {
         self.give_up = self.earliest_give_up();
         if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
             let robot = self.robots[robot].id.clone();
@@ -217,7 +223,7 @@ impl Mission {
 
     /// Sends scripts again that a robot without inquiries may not have received. The robot recognizes duplicates by their ids. Scripts
     /// that have begun are not repeated.
-    fn send_held_again(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn send_held_again(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let mut again = Vec::new();
         for act in self.acts.iter().filter(|act| act.is_open()) {
             let (Some(place), Some(timing)) = (act.place_of(robot), act.timing()) else { continue };
@@ -236,16 +242,16 @@ impl Mission {
     }
 
     /// Notes the failure of a robot, and applies the scenario's policy for failures.
-    pub(super) fn fail(&mut self, now: Timestamp<Server>, robot: usize, kind: FailureKind) {
+    pub(super) fn fail(&mut self, now: Timestamp<Server>, robot: RobotIndex, kind: FailureKind) {
         self.fail_all(now, vec![(robot, kind)]);
     }
 
     /// Notes all failures of one instant, and only then applies the scenario's policy for failures.
-    pub(super) fn fail_all(&mut self, now: Timestamp<Server>, failing: Vec<(usize, FailureKind)>) {
-        let out = |mission: &Self, robot: usize| mission.robots[robot].standing == Standing::Out;
+    pub(super) fn fail_all(&mut self, now: Timestamp<Server>, failing: Vec<(RobotIndex, FailureKind)>) {
+        let out = |mission: &Self, robot: RobotIndex| mission.robots[robot].standing == Standing::Out;
         let failing: Vec<_> = failing.into_iter().filter(|(robot, _)| !out(self, *robot)).collect();
         let performing = self.phase == Phase::Performing;
-        let is_absent = |robot: usize| performing && self.robots[robot].standing == Standing::Absent;
+        let is_absent = |robot: RobotIndex| performing && self.robots[robot].standing == Standing::Absent;
         let (absent, failing): (Vec<_>, Vec<_>) =
             failing.into_iter().partition(|(robot, _)| is_absent(*robot));
         // The other robots play without an absent robot anyway, so it does not join.
@@ -253,7 +259,7 @@ impl Mission {
             self.note_failure(robot, kind);
             self.robots[robot].standing = Standing::Out;
         }
-        let robots: Vec<usize> = failing.iter().map(|(robot, _)| *robot).collect();
+        let robots: Vec<RobotIndex> = failing.iter().map(|(robot, _)| *robot).collect();
         // Scripts that a stop ends are not failures.
         let stopping = matches!(self.phase, Phase::Stopping { .. } | Phase::Ended);
         for (robot, kind) in failing {
@@ -270,7 +276,7 @@ impl Mission {
         }
     }
 
-    pub(super) fn note_failure(&mut self, robot: usize, kind: FailureKind) {
+    pub(super) fn note_failure(&mut self, robot: RobotIndex, kind: FailureKind) {
         let failure = Failure { robot: self.robots[robot].id.clone(), kind };
         if self.robots[robot].failures.note(failure.clone()) == Noted::Kept {
             tracing::warn!(robot = %failure.robot, "{}", failure.kind);
@@ -280,7 +286,7 @@ impl Mission {
     }
 
     /// Applies the strictest policy among the failed robots. From strict to lenient: stop, go home, continue without them.
-    fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
+    fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[RobotIndex]) {
         if self.acts.is_empty() {
             let reason = self.reason_of(robots);
             return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
@@ -312,17 +318,23 @@ impl Mission {
 
     /// Returns the scenario's policy for a failure of this robot, and the act that follows the failure, if any. The policy is that of the
     /// newest act in which the robot takes part.
-    pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
+    pub(super) fn policy_of(&self, robot: RobotIndex) -> Option<(OnFailure, Option<ActIndex>)> {
         let takes_part =
             |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();
         let act = self.acts.iter().rfind(takes_part).or(self.acts.first())?;
         let policy = &act.written().on_failure;
         let id = &self.robots[robot].id;
         let own = policy.robots.iter().find(|(robot, _)| robot == id).map(|(_, what)| *what);
-        Some((own.unwrap_or(policy.default), policy.then))
+        Some((own.unwrap_or(policy.default), policy.then.map(ActIndex::new)))
     }
 
-    fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {
+    fn abort_for(
+        &mut self,
+        now: Timestamp<Server>,
+        robots: &[RobotIndex],
+        rest: Rest,
+        then: Option<ActIndex>,
+    ) {
         let moved = self.acts.iter().any(|act| self.may_have_begun(now, act)) || self.has_moved();
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
@@ -331,8 +343,8 @@ impl Mission {
     }
 
     /// Describes a failure for users: the latest failure of the first of these robots, and the number of the other robots.
-    fn reason_of(&self, robots: &[usize]) -> String {
-        let failed = |robot: &usize| self.robots[*robot].failures.last();
+    fn reason_of(&self, robots: &[RobotIndex]) -> String {
+        let failed = |robot: &RobotIndex| self.robots[*robot].failures.last();
         match robots.iter().find_map(failed) {
             None => Outcome::Failed.to_string(),
             Some(Failure { robot, kind }) if robots.len() == 1 => format!("{robot}: {kind}"),
@@ -343,7 +355,7 @@ impl Mission {
     }
 
     /// Leaves a robot out. The other robots continue. The robot that is left out comes to rest, if it can be reached.
-    pub(super) fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn drop_robot(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         self.robots[robot].standing = Standing::Out;
         if let Some(lost) = self.robots[robot].lost_mut() {
             lost.give_up = None;

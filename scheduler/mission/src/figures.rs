@@ -3,7 +3,7 @@
 use urrcp::Span;
 
 use super::robot_state::{Link, RobotState, Standing, Totals};
-use super::{Mission, Phase};
+use super::{Mission, Phase, RobotIndex};
 use crate::clock::ClockReading;
 
 /// The phase of a mission.
@@ -39,7 +39,7 @@ pub struct RobotFigures {
 impl Mission {
     /// Returns the status and the counts of the robot with this index.
     #[must_use]
-    pub fn figures_of(&self, robot: usize) -> RobotFigures {
+    pub fn figures_of(&self, robot: RobotIndex) -> RobotFigures {
         let state: &RobotState = &self.robots[robot];
         let mut totals = state.totals;
         for act in self.acts.iter().filter(|act| act.was_sent()) {

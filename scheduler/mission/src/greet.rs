@@ -14,7 +14,7 @@ use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_of_status};
+use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, RobotIndex, error_of_status};
 use downbeat_yaml::render::counted;
 
 /// Number of timestamp exchanges with each robot before any decision.
@@ -34,7 +34,7 @@ fn is_too_slow(robot: &RobotState) -> bool {
 }
 
 impl Mission {
-    pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         self.ask_availability(now, robot);
         for index in 0..self.robots[robot].settings.require.len() {
             let sensor = self.robots[robot].settings.require[index].sensor.clone();
@@ -51,7 +51,7 @@ impl Mission {
     pub(super) fn availability(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         response: &AvailabilityResponse,
     ) {
         if response.status == Status::Failed {
@@ -91,7 +91,12 @@ impl Mission {
     }
 
     /// Compares a robot's own description with the plan when the description arrives for the first time.
-    pub(super) fn introduced(&mut self, now: Timestamp<Server>, robot: usize, block: InitializationBlock) {
+    pub(super) fn introduced(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        block: InitializationBlock,
+    ) {
         if std::mem::replace(&mut self.robots[robot].introduced, true) {
             return;
         }
@@ -113,7 +118,7 @@ impl Mission {
     }
 
     /// Returns the reasons why a robot's own description does not allow the commands of an act.
-    fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
+    fn unfit(&self, robot: RobotIndex, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
         if !block.understands(state.settings.encoding) {
@@ -136,26 +141,34 @@ impl Mission {
         reasons
     }
 
-    pub(super) fn read(&mut self, now: Timestamp<Server>, robot: usize, sensor: DeviceId, what: Reading) {
+    pub(super) fn read(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        sensor: DeviceId,
+        what: Reading,
+    ) {
         let session = self.options.session_name().map_or("", |session| session.as_str());
-        self.robots[robot].reads.make_room();
-        let count = self.robots[robot].reads.len();
+        self.robots[robot].requests.make_room_for_reading();
+        let count = self.robots[robot].requests.readings_owed();
         let id = RequestId::new(format!("read/{session}/{}/{robot}/{count}", now.as_nanos() / 1_000)).ok();
         let mut request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         request.request_id.clone_from(&id);
         request.session = self.options.session_on_the_wire();
-        id.into_iter().for_each(|id| self.robots[robot].reads.ask(id, sensor.clone(), what.clone()));
+        if let Some(id) = id {
+            self.robots[robot].requests.add_reading(id, sensor, what);
+        }
         self.send(now, robot, Message::ControlRequest(request));
     }
 
-    /// Processes a response if it answers a request for a sensor reading. Returns whether it does.
+    /// Processes the answer to a request for a sensor reading.
     pub(super) fn reading_taken(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         response: &ControlResponse,
-    ) -> bool {
-        let Some(what) = self.robots[robot].reads.take_answered(response) else { return false };
+        what: Reading,
+    ) {
         let value = match response.status_value {
             StatusValue::Number(value) if response.status == Status::Provide => Some(value),
             _ => None,
@@ -193,7 +206,6 @@ impl Mission {
         if matches!(self.phase, Phase::Greeting { .. }) {
             self.greeting_progress(now);
         }
-        true
     }
 
     /// Once every robot has answered or failed, checks the robots and ends the greeting.
@@ -255,7 +267,7 @@ impl Mission {
         if self.options.greeting == Greeting::Full || self.choreography.requirements.all_or_none.is_none() {
             return;
         }
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if !self.robots[robot].drops_undecided() {
                 self.note_failure(robot, FailureKind::Unfit { reason: NOT_STRICT_ENOUGH.to_owned() });
             }
@@ -268,7 +280,7 @@ impl Mission {
         if self.robots.iter().any(RobotState::has_failed) {
             return false;
         }
-        let settled = !(0..self.robots.len()).any(|robot| self.is_on_its_way(robot));
+        let settled = !self.robots.indices().any(|robot| self.is_on_its_way(robot));
         let fits = settled
             && !self.robots.iter().any(is_too_slow)
             && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
@@ -285,8 +297,8 @@ impl Mission {
     pub(super) fn sample_clocks(&mut self, now: Timestamp<Server>) {
         let Some((until, next)) = self.sampling.filter(|(_, next)| now >= *next) else { return };
         self.sampling = Some((until, next + SAMPLING_INTERVAL));
-        let enough = self.choreography.acts[self.options.first_act].plan.start_tolerance / 8;
-        for robot in 0..self.robots.len() {
+        let enough = self.choreography.acts[self.options.first_act.get()].plan.start_tolerance / 8;
+        for robot in self.robots.indices() {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
             // Clocks that are known well enough are also checked from time to time, because a clock may be set meanwhile.
@@ -304,7 +316,7 @@ impl Mission {
 
     /// Asks a robot for its times again, unless an answer is pending. If every answer caused a question, a network that duplicates
     /// answers would also duplicate questions.
-    pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
         if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
@@ -313,13 +325,13 @@ impl Mission {
     }
 
     pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
-        let plan = &self.choreography.acts[self.options.first_act].plan;
+        let plan = &self.choreography.acts[self.options.first_act.get()].plan;
         SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
     }
 
     /// Refuses robots whose round trips are longer than the longest accepted one, because the others would wait for them.
     pub(super) fn check_links(&mut self) {
-        for index in 0..self.robots.len() {
+        for index in self.robots.indices() {
             let robot = &self.robots[index];
             if is_too_slow(robot) {
                 let round_trip = robot.round_trip();
@@ -332,8 +344,8 @@ impl Mission {
     /// Refuses robots whose clock is certainly further off than the scenario tolerates. Also refuses robots whose clocks make the
     /// possible start spread of the fleet too large.
     pub(super) fn check_clocks(&mut self, now: Timestamp<Server>) {
-        let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
-        for index in 0..self.robots.len() {
+        let tolerance = self.choreography.acts[self.options.first_act.get()].plan.start_tolerance;
+        for index in self.robots.indices() {
             let robot = &self.robots[index];
             let follows = robot.settings.clock == ClockMode::Ntp && !robot.is_of_another();
             let Some(reading) = robot.clock_at(now).filter(|_| follows) else {
@@ -351,14 +363,14 @@ impl Mission {
         }
         let offenders = self.skew_of_first_act(now).map(|skew| skew.offenders()).unwrap_or_default();
         for (id, kind) in offenders {
-            if let Some(index) = self.robots.iter().position(|robot| robot.id == id) {
+            if let Some(index) = self.robots.position(|robot| robot.id == id) {
                 self.note_failure(index, kind);
             }
         }
     }
 
     fn check_sensors(&mut self) {
-        for index in 0..self.robots.len() {
+        for index in self.robots.indices() {
             let robot = &self.robots[index];
             if robot.standing != Standing::In
                 || self.options.greeting == Greeting::Skip
@@ -385,8 +397,8 @@ impl Mission {
         let within = self.options.patience;
         self.leave_to_others();
         let full = self.options.greeting == Greeting::Full;
-        for index in 0..self.robots.len() {
-            self.robots[index].reads.forget(|what| matches!(what, Reading::Shown(_)));
+        for index in self.robots.indices() {
+            self.robots[index].requests.forget_readings(|what| matches!(what, Reading::Shown(_)));
             let robot = &self.robots[index];
             let awaited = match robot.link {
                 _ if robot.has_failed() || robot.standing != Standing::In => continue,
@@ -396,7 +408,7 @@ impl Mission {
                 Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
                     "further availability responses"
                 }
-                Link::Up { .. } if full && robot.reads.awaited().next().is_some() => {
+                Link::Up { .. } if full && robot.requests.awaited_readings().next().is_some() => {
                     "readings of its sensors"
                 }
                 Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",
@@ -420,7 +432,7 @@ impl Mission {
     }
 
     /// Adds a robot that was absent at first to the mission, once it has been greeted and if the options permit it.
-    fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         if state.clock.samples() < CLOCK_SAMPLES {
             return self.ask_further(now, robot);
@@ -433,7 +445,7 @@ impl Mission {
     }
 
     /// Adds a robot to the mission, starting with the next act that has not been sent.
-    pub(super) fn joins(&mut self, robot: usize) {
+    pub(super) fn joins(&mut self, robot: RobotIndex) {
         self.robots[robot].standing = Standing::In;
         self.robots[robot].joined_late = true;
         self.robots[robot].unplaced = true;

@@ -10,13 +10,13 @@ use urrcp::{AvailabilityResponse, InitializationRequest, Message, RobotId, Serve
 use super::failure_kind::{Failure, FailureKind};
 use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
-use super::{Action, Greeting, Loss, Mission, Phase, Progress, error_of_status};
+use super::{Action, Greeting, Loss, Mission, Phase, Progress, RobotIndex, error_of_status};
 
 /// How long a robot may take to identify itself. After this time, the robot is asked again, and its stops are sent without further delay.
 const ASK_AGAIN: Span = Span::from_millis(250);
 
 impl Mission {
-    pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.phase == Phase::Ended {
             return;
         }
@@ -29,7 +29,7 @@ impl Mission {
     }
 
     /// Whether stops may be sent on a robot's link: the right robot has answered on it, or no robot has identified itself for a while.
-    pub(super) fn takes_stops(&self, now: Timestamp<Server>, robot: usize) -> bool {
+    pub(super) fn takes_stops(&self, now: Timestamp<Server>, robot: RobotIndex) -> bool {
         let state = &self.robots[robot];
         let another = |failure: &Failure| matches!(failure.kind, FailureKind::AnotherRobot { .. });
         let said_nothing = state.unnamed_since().is_some_and(|since| now >= since + ASK_AGAIN);
@@ -40,7 +40,7 @@ impl Mission {
         self.options.greeting == Greeting::Full
     }
 
-    fn ask_name(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn ask_name(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
         // The question is sent before the stops, because its answer must precede theirs.
         let urgent = self.robots[robot].awaits_stop();
@@ -57,7 +57,7 @@ impl Mission {
         }
         self.next_name = None;
         let greets = matches!(self.phase, Phase::Greeting { .. });
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             let Some(since) = self.robots[robot].unnamed_since() else { continue };
             if greets && self.robots[robot].has_failed() {
                 continue;
@@ -79,7 +79,7 @@ impl Mission {
     pub(super) fn is_expected_robot(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         message: &Message,
     ) -> bool {
         match message {
@@ -104,7 +104,7 @@ impl Mission {
     }
 
     /// Continues with a link once the right robot has answered on it.
-    pub(super) fn link_serves(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn link_serves(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         match self.phase {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
             Phase::Greeting { .. } => {}
@@ -119,7 +119,7 @@ impl Mission {
     }
 
     /// Stops using a link that does not lead to the right robot.
-    fn met_another(&mut self, now: Timestamp<Server>, robot: usize, told: RobotId) {
+    fn met_another(&mut self, now: Timestamp<Server>, robot: RobotIndex, told: RobotId) {
         let state = &mut self.robots[robot];
         let kind = FailureKind::AnotherRobot { expected: state.own_id.clone(), told };
         let known = state.failures.iter().any(|failure| failure.kind == kind);

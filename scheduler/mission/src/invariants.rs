@@ -5,7 +5,7 @@ use urrcp::{Command, ControlRequest, Message, Server, Timestamp};
 
 use super::act::Act;
 use super::robot_state::{RobotState, Standing, Stop};
-use super::{Action, Mission, Phase};
+use super::{Action, Mission, Phase, RobotIndex};
 
 /// The maximum number of robots for which invariants are checked. In larger fleets, the checks would take most of the time.
 const ROBOTS_MAX: usize = 64;
@@ -47,9 +47,12 @@ impl Mission {
             }
         }
         let acts = self.choreography.acts.len();
-        assert!(self.detour.is_none_or(|act| act < acts), "a policy leads to an act of the choreography");
         assert!(
-            self.then.is_none_or(|act| act < acts),
+            self.detour.is_none_or(|act| act.get() < acts),
+            "a policy leads to an act of the choreography"
+        );
+        assert!(
+            self.then.is_none_or(|act| act.get() < acts),
             "the mission continues with an act of the choreography"
         );
         assert!(self.fates.len() <= acts, "each act of the scenario has a fate");
@@ -64,7 +67,7 @@ impl Mission {
         );
         let indices = self.first_robots.iter().flatten();
         assert!(
-            indices.into_iter().all(|robot| *robot < self.robots.len()),
+            indices.into_iter().all(|robot| robot.get() < self.robots.len()),
             "the robots of the first act belong to the mission"
         );
     }
@@ -74,7 +77,7 @@ impl Mission {
         let mut numbers = self.acts.iter().map(Act::number);
         assert!(numbers.clone().is_sorted_by(|a, b| a < b), "acts are numbered in order");
         assert!(
-            numbers.next_back().is_none_or(|last| last < self.acts_begun),
+            numbers.next_back().is_none_or(|last| last.get() < self.acts_begun),
             "acts are counted when they begin"
         );
         let waiting = self.acts.iter().rev().skip(1);
@@ -94,7 +97,7 @@ impl Mission {
                 );
             }
         }
-        for (index, robot) in self.robots.iter().enumerate() {
+        for (index, robot) in self.robots.enumerated() {
             self.check_queues(index, robot);
         }
     }
@@ -114,7 +117,7 @@ impl Mission {
     }
 
     /// Checks that devices hold at most as many scripts as their queues have room for. Scripts that another process sent may have ended.
-    fn check_queues(&self, index: usize, robot: &RobotState) {
+    fn check_queues(&self, index: RobotIndex, robot: &RobotState) {
         let mut held = std::collections::BTreeMap::new();
         for member in self.acts.iter().filter_map(|act| act.member(index)) {
             for script in
@@ -133,10 +136,10 @@ impl Mission {
     }
 
     fn check_requests(&self) {
-        for (index, robot) in self.robots.iter().enumerate() {
-            for (name, script) in &robot.requests {
+        for (index, robot) in self.robots.enumerated() {
+            for (name, script) in robot.requests.scripts() {
                 let Some(act) = self.acts.iter().find(|act| act.number() == script.act) else { continue };
-                assert_eq!(act.robot_of(*script), index, "{}: `{name}` is a request to this robot", robot.id);
+                assert_eq!(act.robot_of(script), index, "{}: `{name}` is a request to this robot", robot.id);
             }
         }
     }
@@ -146,13 +149,13 @@ impl Mission {
         match action {
             Action::Send { robot, message, .. } => self.check_message(*robot, message, before),
             Action::Reconnect { robot, .. } => {
-                assert!(*robot < self.robots.len(), "links lead to robots of the mission");
+                assert!(robot.get() < self.robots.len(), "links lead to robots of the mission");
             }
             _ => {}
         }
     }
 
-    fn check_message(&self, robot: usize, message: &Message, before: &[Action]) {
+    fn check_message(&self, robot: RobotIndex, message: &Message, before: &[Action]) {
         let state = &self.robots[robot];
         let id = &state.id;
         let Some(request) = script_in(message).filter(|request| !is_stop(request)) else { return };
@@ -173,7 +176,7 @@ impl Mission {
         assert!(request.time_offset_to_start.is_some(), "{id}: scripts have a planned start");
         assert!(request.content_hash.is_some(), "{id}: scripts are bound to their contents");
         let name = request.request_id.as_ref();
-        let act = name.and_then(|name| state.requests.get(name)).map(|script| script.act);
+        let act = name.and_then(|name| state.requests.script(name)).map(|script| script.act);
         let act = act.and_then(|number| self.acts.iter().find(|act| act.number() == number));
         let may = |act: &Act| act.is_open() || act.is_over() || act.is_lapsing();
         assert!(act.is_none_or(may), "{id} is sent scripts of acts that were promised");

@@ -8,7 +8,7 @@ use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::lines::{begins_with, sound, whole_length};
 use super::record::{ActFlaws, ActOver, ENDED_ACT, EndedAct, Promise, Record};
-use super::{ActFate, Failure, Outcome, Rest};
+use super::{ActFate, ActNumber, Failure, Outcome, Rest};
 
 /// The state of a mission, as restored from the records in its journal.
 #[derive(Clone, Debug, Default)]
@@ -41,7 +41,7 @@ pub struct Kept {
     /// Every robot to which anything was ever sent, with the devices to which it was sent.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
     /// The interval of doubt before the start that was stated at the decision of each act, by the act's number.
-    pub(crate) doubts: HashMap<u32, Span>,
+    pub(crate) doubts: HashMap<ActNumber, Span>,
     /// For each robot: the latest offset by which timestamps were converted to its clock.
     shifts: BTreeMap<RobotId, Span>,
     /// For each script that was sent with a clock offset other than its promise states: that offset, by request id.
@@ -119,13 +119,13 @@ struct Dated {
 /// The only field of an act's report that is read here. The other fields, which fill most of a long journal, are skipped.
 #[derive(Deserialize)]
 struct Numbered {
-    number: u32,
+    number: ActNumber,
 }
 
 /// The fields of a promise that are needed to stop its robots.
 #[derive(Deserialize)]
 struct Touching<'a> {
-    number: u32,
+    number: ActNumber,
     #[serde(borrow)]
     scripts: Vec<Touched<'a>>,
 }
@@ -269,7 +269,7 @@ impl Kept {
             return self.act_ended(ended);
         }
         let Ok(Dated { at, record }) = serde_json::from_slice(json) else { return };
-        let mut came_to = |reached, act: u32| {
+        let mut came_to = |reached, act: ActNumber| {
             let of_number = under_way.iter_mut().find(|(number, ..)| *number == act);
             of_number.into_iter().for_each(|(.., progressed)| *progressed = reached);
         };
@@ -320,7 +320,7 @@ impl Kept {
 }
 
 /// A promise whose act has not ended: the act's number, the line of the promise, and the act's progress.
-type UnderWay<'a> = (u32, &'a [u8], Progressed);
+type UnderWay<'a> = (ActNumber, &'a [u8], Progressed);
 
 fn is_promise(json: &[u8]) -> bool {
     begins_with(json, br#","record":"prepared","#)

@@ -4,7 +4,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::act::{Act, Member};
 use super::robot_state::RobotState;
-use super::script::{Ending, ScriptState};
+use super::script::ScriptState;
 
 impl Act {
     /// The time at which a lease ends the script that a robot still has from a closed act, provided that the robot receives nothing more.
@@ -23,7 +23,7 @@ impl Act {
         let plays = state.is_unaccounted() && now < begins + state.plan.script.duration();
         let nothing = match state.state() {
             ScriptState::Planned => !state.is_unaccounted(),
-            state => matches!(state, ScriptState::Ended(Ending::Failed(_))),
+            _ => state.has_failed(),
         };
         if nothing || !(plays || robot.stop_was_sent()) {
             return None;

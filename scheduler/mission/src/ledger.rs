@@ -7,13 +7,13 @@ use std::collections::HashMap;
 
 use urrcp::{DeviceId, Span};
 
-use super::ClockMode;
 use super::act::Act;
-use super::robot_state::RobotState;
+use super::robot_state::{RobotState, Robots};
 use super::script::{Script, ScriptRef};
+use super::{ClockMode, RobotIndex};
 
 /// The scripts that may be sent to a robot now, in order of start. `acts` must be in order of start.
-pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<ScriptRef> {
+pub(crate) fn sendable(acts: &[Act], robot: RobotIndex, state: &RobotState) -> Vec<ScriptRef> {
     let mut room = room_of(acts, robot, state);
     let mut sendable = Vec::new();
     for act in acts {
@@ -54,7 +54,7 @@ fn waits_for_its_clock(ahead: &[&Script]) -> bool {
 const LONG_ENOUGH: Span = Span::from_millis(5_000);
 
 /// The number of free queue slots of each device to which scripts remain to be sent.
-fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
+fn room_of<'a>(acts: &'a [Act], robot: RobotIndex, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
     let mut room = HashMap::new();
     let members = || acts.iter().filter_map(|act| act.member(robot));
     let scripts = || members().flat_map(|member| member.under_way().map(|(_, script)| script));
@@ -71,7 +71,7 @@ fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a
 
 /// Whether the queue of every device has a slot for the device's first script of an act. The scripts of earlier acts that the device
 /// holds or will receive come first.
-pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
+pub(crate) fn fits(acts: &[Act], index: usize, robots: &Robots) -> bool {
     let (before, act) = (&acts[..index], &acts[index]);
     act.present().all(|member| {
         let robot = &robots[member.robot];

@@ -28,6 +28,7 @@ mod fates;
 pub mod figures;
 mod greet;
 mod identity;
+mod index;
 mod invariants;
 mod kept;
 mod latency;
@@ -37,12 +38,12 @@ mod leases;
 mod ledger;
 mod lines;
 mod motion;
+mod open_requests;
 mod options;
 mod outcome;
 mod poses;
 pub(crate) mod preflight;
 mod prepare;
-mod reads;
 pub(crate) mod record;
 mod refill_time;
 pub mod report;
@@ -59,10 +60,10 @@ mod stop;
 mod transfer;
 pub mod zone;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
 
-use downbeat_plan::{Choreography, FirstUse, Plan};
+use downbeat_plan::{Choreography, Plan};
 use urrcp::{ControlError, DeviceId, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub use claim::Claim;
@@ -71,6 +72,7 @@ pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
 pub use failure_kind::{Failure, FailureKind, Slow};
 pub use fates::{ActCourse, ActFate};
+pub use index::{ActIndex, ActNumber, IndexVec, MemberIndex, RobotIndex};
 pub use kept::{Fate, Kept, Left, LeftOn, Progressed, Stopping, Torn};
 pub use latency::{LatencyDiffers, OtherLatency};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
@@ -88,8 +90,8 @@ pub use transfer::{Destination, PlanTransfer, TransferReport};
 use act::Act;
 use clock::NtpState;
 pub use requests::may_be_for_a_stop;
-use robot_state::RobotState;
 pub use robot_state::{Rest, Standing, Totals};
+use robot_state::{RobotState, Robots};
 
 /// Phase of the mission. Each phase has a source file that handles its timers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,7 +120,7 @@ struct Recording {
     count: u64,
     /// The records for which an act waits, or by which the speed of the disk is measured. For each: its number, the act, and the time of
     /// the request.
-    awaited: VecDeque<(u64, Option<u32>, Timestamp<Server>)>,
+    awaited: VecDeque<(u64, Option<ActNumber>, Timestamp<Server>)>,
     /// Duration of the slowest of the last writes; `None` before the first write.
     longest: Option<Span>,
 }
@@ -128,12 +130,12 @@ struct Recording {
 pub struct Mission {
     choreography: Arc<Choreography>,
     options: MissionOptions,
-    robots: Vec<RobotState>,
+    robots: Robots,
     /// The index of each robot of the first act, in the order of the act's plan; `None` for a robot without a participant.
-    first_robots: Vec<Option<usize>>,
+    first_robots: Vec<Option<RobotIndex>>,
     /// For each robot: the first script of each device, starting with the mission's first act, and the device's largest speed in the act
     /// of that script.
-    first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
+    first_uses: poses::FirstUses,
     phase: Phase,
     /// The acts under way, in order of their start; the last one may still wait.
     acts: Vec<Act>,
@@ -143,9 +145,9 @@ pub struct Mission {
     /// Whether `acts_max` prevented a further act.
     bounded: bool,
     /// The index of the act that a failure policy requests as the next one.
-    detour: Option<usize>,
+    detour: Option<ActIndex>,
     /// The index of the act with which the mission continues after a stop.
-    then: Option<usize>,
+    then: Option<ActIndex>,
     /// The state of the act that is planned after a stop and moves devices to their next or default positions.
     transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
@@ -169,10 +171,10 @@ pub struct Mission {
     /// The earliest time at which the mission gives up a robot whose link is lost; `None` if none is scheduled.
     give_up: Option<Timestamp<Server>>,
     /// Messages that must not be sent before an act is committed or withdrawn, each with the index of its robot.
-    deferred: Vec<(usize, Message)>,
+    deferred: Vec<(RobotIndex, Message)>,
     recording: Recording,
     /// The fate of each act of the scenario.
-    fates: Vec<ActCourse>,
+    fates: IndexVec<ActIndex, ActCourse>,
     /// Whether robots may have moved in a mission of another process that this mission only withdraws. The acts of that mission are not
     /// in `fates`.
     moved_before: bool,
@@ -227,11 +229,18 @@ impl Mission {
         now: Timestamp<Server>,
     ) -> Self {
         let deadline = now + options.patience;
-        let course = |index| ActCourse { act: act::act_name(&choreography, index), ..ActCourse::default() };
+        let course = |index| ActCourse {
+            act: act::act_name(&choreography, ActIndex::new(index)),
+            ..ActCourse::default()
+        };
         let fates = (0..choreography.acts.len()).map(course).collect();
-        let index_of: HashMap<_, _> =
-            participants.iter().enumerate().map(|(index, participant)| (&participant.id, index)).collect();
-        let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
+        let index_of: HashMap<_, _> = participants
+            .iter()
+            .enumerate()
+            .map(|(index, participant)| (&participant.id, RobotIndex::new(index)))
+            .collect();
+        let first =
+            choreography.acts.get(options.first_act.get()).into_iter().flat_map(|act| &act.plan.robots);
         let first_robots = first.map(|planned| index_of.get(&planned.robot).copied()).collect();
         let first_uses = poses::first_uses(&choreography, options.first_act, &index_of);
         Self {
@@ -392,7 +401,7 @@ impl Mission {
 
     /// The id of a robot by its index.
     #[must_use]
-    pub fn robot_id(&self, robot: usize) -> &RobotId {
+    pub fn robot_id(&self, robot: RobotIndex) -> &RobotId {
         &self.robots[robot].id
     }
 
@@ -442,7 +451,7 @@ impl Mission {
         self.close_all(now);
     }
 
-    pub(crate) fn robots(&self) -> &[RobotState] {
+    pub(crate) const fn robots(&self) -> &Robots {
         &self.robots
     }
 

@@ -10,8 +10,9 @@ use urrcp::{
     ControlParameters, ControlType, Device, DeviceId, Interpolation, RobotId, Server, Span, Step, Timestamp,
 };
 
+use super::RobotIndex;
 use super::act::Act;
-use super::robot_state::RobotState;
+use super::robot_state::{RobotState, Robots};
 
 /// How long before a device's movement the mission starts to read its sensor, if the act is committed by then.
 const BEFORE: Span = Span::from_millis(80);
@@ -27,7 +28,7 @@ const STANDARD_ERRORS: f64 = 2.0;
 /// The first movement of one device in an act, and the readings of its sensor around that time.
 #[derive(Clone, Debug)]
 pub(crate) struct Watched {
-    robot: usize,
+    robot: RobotIndex,
     device: DeviceId,
     sensor: DeviceId,
     taken: Taken,
@@ -108,7 +109,7 @@ impl MotionSpread {
 
 impl Watched {
     /// The movements to watch in an act: the first movement of each device whose position a sensor shows.
-    pub(crate) fn of(act: &Act, robots: &[RobotState]) -> Vec<Self> {
+    pub(crate) fn of(act: &Act, robots: &Robots) -> Vec<Self> {
         let mut all = Vec::new();
         for member in act.members() {
             let state = &robots[member.robot];
@@ -148,7 +149,7 @@ impl Watched {
         all
     }
 
-    pub(crate) const fn robot(&self) -> usize {
+    pub(crate) const fn robot(&self) -> RobotIndex {
         self.robot
     }
 
@@ -309,7 +310,7 @@ mod tests {
     /// A sensor that shows a ramp of one second, which begins 100 ms after the start of its act.
     fn watched() -> Watched {
         Watched {
-            robot: 0,
+            robot: RobotIndex::new(0),
             device: "d".parse().unwrap(),
             sensor: "s".parse().unwrap(),
             taken: Taken::default(),

@@ -6,6 +6,7 @@ use downbeat_fleet::fleet::MissionSettings;
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
+use super::ActIndex;
 use super::transfer::PlanTransfer;
 use crate::session::Session;
 use crate::zone::Zone;
@@ -78,7 +79,7 @@ pub struct MissionOptions {
     /// The starts at fixed times, and their permitted delay.
     pub fixed: FixedStarts,
     /// The index of the first act that the mission plays.
-    pub first_act: usize,
+    pub first_act: ActIndex,
     /// The maximum number of acts, including those that waited without success. After them, the mission ends as after its last act. The
     /// first act always begins. `None` if there is no limit.
     pub acts_max: Option<u32>,
@@ -116,7 +117,7 @@ pub struct FixedStarts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FixedStart {
     /// The index of the act.
-    pub act: usize,
+    pub act: ActIndex,
     /// The time of the start.
     pub at: Timestamp<Server>,
 }
@@ -149,7 +150,7 @@ impl Default for MissionOptions {
             server_uncertainty: Span::ZERO,
             session: None,
             fixed: FixedStarts::default(),
-            first_act: 0,
+            first_act: ActIndex::new(0),
             acts_max: None,
             join: Join::Refuse,
             seize: false,

@@ -13,7 +13,7 @@ use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::prepare::answers_within;
 use super::robot_state::{PositionsAsked, Reading, RobotState, Standing};
-use super::{Greeting, Join, Mission, Phase};
+use super::{ActIndex, Greeting, IndexVec, Join, Mission, Phase, RobotIndex};
 
 /// The position that the first step of a device expects, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,12 +49,13 @@ impl RobotState {
 
     /// Whether the robot has answered all requests for readings and positions of its devices.
     pub(super) fn has_shown_its_pose(&self) -> bool {
-        self.reads.awaited().next().is_none() && self.positions_owed == 0
+        self.requests.awaited_readings().next().is_none() && self.positions_owed == 0
     }
 
     /// Whether the robot still owes an answer about the positions of its devices.
     fn owes_positions(&self) -> bool {
-        self.positions_owed > 0 || self.reads.awaited().any(|what| matches!(what, Reading::Position(_)))
+        self.positions_owed > 0
+            || self.requests.awaited_readings().any(|what| matches!(what, Reading::Position(_)))
     }
 
     /// Whether the robot can be asked for the position of a device: by an inquiry, or else by its sensor.
@@ -84,7 +85,7 @@ impl RobotState {
 
     /// Discards the known positions of the robot's devices, and stops awaiting the sensor readings of positions that the robot owes.
     pub(super) fn forget_positions(&mut self) {
-        self.reads.forget(|what| matches!(what, Reading::Position(_)));
+        self.requests.forget_readings(|what| matches!(what, Reading::Position(_)));
         self.positions.clear();
         self.commanded.clear();
     }
@@ -92,7 +93,7 @@ impl RobotState {
 
 impl Mission {
     /// Asks for the positions of devices before the mission moves them: the readings of their sensors, and the commanded positions.
-    pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let mut devices = self.used_devices(robot);
         let state = &self.robots[robot];
         let Some(block) = &state.block else { return };
@@ -111,7 +112,7 @@ impl Mission {
     }
 
     /// Asks a robot for the commanded positions of its devices.
-    pub(super) fn ask_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask_positions(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         if self.options.greeting == Greeting::Skip || !state.takes_inquiries() || state.is_of_another() {
             return;
@@ -119,7 +120,12 @@ impl Mission {
         self.ask_positions_of(now, robot, &self.used_devices(robot));
     }
 
-    pub(super) fn ask_positions_of(&mut self, now: Timestamp<Server>, robot: usize, devices: &[DeviceId]) {
+    pub(super) fn ask_positions_of(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        devices: &[DeviceId],
+    ) {
         let parts: Vec<_> = devices.chunks(NAMES_MAX).map(<[DeviceId]>::to_vec).collect();
         self.robots[robot].positions_owed = parts.len();
         if parts.is_empty() {
@@ -138,7 +144,7 @@ impl Mission {
     pub(super) fn positions_stated(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         devices: &[DeviceReport],
     ) {
         let state = &mut self.robots[robot];
@@ -216,7 +222,7 @@ impl Mission {
         &self,
         now: Timestamp<Server>,
         index: usize,
-        (robot, asked): (usize, PositionsAsked),
+        (robot, asked): (RobotIndex, PositionsAsked),
         send_by: Option<Timestamp<Server>>,
     ) -> Option<(Timestamp<Server>, PositionsAsked)> {
         let state = &self.robots[robot];
@@ -259,14 +265,14 @@ impl Mission {
 
     /// The robots of an act whose positions the mission has requested, and whose devices would have to jump at their first step. A robot
     /// that has not answered is included only if the positions of its devices are unchecked for this act.
-    pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
+    pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(RobotIndex, FailureKind)> {
         let act = &self.acts[index];
-        let jump = |robot: usize, script: &DeviceScript| {
+        let jump = |robot: RobotIndex, script: &DeviceScript| {
             let reading = self.robots[robot].known_position(&script.device)?;
             let expected = self.expected_in(act, robot, script)?;
             let device = script.device.clone();
             // An approach moves devices before the first act, to the positions from which they first move by `next`.
-            let is_first = act.number() == act.attempts();
+            let is_first = act.number().get() == act.attempts();
             let approached = is_first && self.is_first_use(act, robot, &device);
             let act = (!approached).then(|| act.name());
             let kind = FailureKind::Position { device, reading, expected: expected.position, act };
@@ -281,7 +287,7 @@ impl Mission {
 
     /// The failure of a robot that still owes the positions of devices that are unchecked for this act, because one of them may jump.
     /// `None` for any other robot.
-    fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
+    fn hides_its_pose(&self, act: &Act, robot: RobotIndex) -> Option<(RobotIndex, FailureKind)> {
         let state = &self.robots[robot];
         let hides = state.owes_positions()
             && self.unplaced_of(act, robot).any(|script| !self.is_checked(act, robot, &script.device));
@@ -291,7 +297,7 @@ impl Mission {
     }
 
     /// The robots of an act that the mission asks for the positions of their devices.
-    fn unplaced(&self, act: &Act) -> Vec<usize> {
+    fn unplaced(&self, act: &Act) -> Vec<RobotIndex> {
         let members = act.present().map(|member| member.robot);
         members.filter(|robot| self.unplaced_of(act, *robot).next().is_some()).collect()
     }
@@ -300,7 +306,7 @@ impl Mission {
     /// adrift, and devices that may have to jump. A device of the second kind is included only if its position is unchecked for this act
     /// and the mission has not moved it yet. With `handshake: skip`, the second kind is excluded. A device whose position the robot
     /// cannot report is always excluded.
-    fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
+    fn unplaced_of<'a>(&'a self, act: &'a Act, robot: RobotIndex) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;
         let is_unplaced = move |script: &&DeviceScript| {
@@ -315,17 +321,17 @@ impl Mission {
     }
 
     /// Whether the greeting has checked the position of a device for this act, and no stop has left the device adrift since.
-    fn is_checked(&self, act: &Act, robot: usize, device: &DeviceId) -> bool {
+    fn is_checked(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
         self.is_first_use(act, robot, device) && !self.robots[robot].adrift.contains(device)
     }
 
     /// Whether this act is the first one that moves a device, in the order in which acts follow each other by `next`.
-    fn is_first_use(&self, act: &Act, robot: usize, device: &DeviceId) -> bool {
-        self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index())
+    fn is_first_use(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
+        self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
     }
 
     /// The failures of a robot's devices that would have to jump at their first step.
-    pub(super) fn misplaced(&self, index: usize) -> Vec<FailureKind> {
+    pub(super) fn misplaced(&self, index: RobotIndex) -> Vec<FailureKind> {
         let failure = |(device, reading): (&DeviceId, f64)| {
             let expected = self.expected_position(index, device)?;
             let jumps = (reading - expected.position).abs() > expected.within;
@@ -336,7 +342,7 @@ impl Mission {
     }
 
     /// Devices that may have to jump at their first step, because their positions are unknown.
-    pub(super) fn unknown_positions(&self, index: usize) -> Vec<DeviceId> {
+    pub(super) fn unknown_positions(&self, index: RobotIndex) -> Vec<DeviceId> {
         let robot = &self.robots[index];
         let devices = self.used_devices(index).into_iter();
         devices
@@ -346,7 +352,7 @@ impl Mission {
 
     /// The positions of a robot's devices from which a future act starts: where the last command has left a device, unless its sensor
     /// shows that it is elsewhere.
-    pub(super) fn positions_to_leave(&self, index: usize) -> BTreeMap<DeviceId, f64> {
+    pub(super) fn positions_to_leave(&self, index: RobotIndex) -> BTreeMap<DeviceId, f64> {
         let robot = &self.robots[index];
         let mut positions = robot.commanded.clone();
         for (device, reading) in &robot.positions {
@@ -359,7 +365,7 @@ impl Mission {
     }
 
     /// The devices that a robot uses in the first act and in the acts that follow it by `next`.
-    fn used_devices(&self, robot: usize) -> Vec<DeviceId> {
+    fn used_devices(&self, robot: RobotIndex) -> Vec<DeviceId> {
         self.first_uses[robot].keys().cloned().collect()
     }
 
@@ -368,14 +374,14 @@ impl Mission {
     ///
     /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
     /// before its first step.
-    pub(super) fn expected_position(&self, index: usize, device: &DeviceId) -> Option<Expected> {
-        let (first, speed) = self.first_uses.get(index)?.get(device)?;
+    pub(super) fn expected_position(&self, index: RobotIndex, device: &DeviceId) -> Option<Expected> {
+        let (first, speed) = self.first_uses[index].get(device)?;
         let script = &self.choreography.acts[first.act].plan.robots[first.robot].scripts[first.script];
         self.expected_of(index, script, || *speed)
     }
 
     /// Like `expected_position`, but for the first script of a device in this act.
-    fn expected_in(&self, act: &Act, robot: usize, script: &DeviceScript) -> Option<Expected> {
+    fn expected_in(&self, act: &Act, robot: RobotIndex, script: &DeviceScript) -> Option<Expected> {
         let id = &self.robots[robot].id;
         let is_used = |used: &&DeviceUse| used.robot == *id && used.device == script.device;
         self.expected_of(robot, script, || act.written().devices.iter().find(is_used)?.speed_max)
@@ -384,7 +390,7 @@ impl Mission {
     /// Like `expected_position`, but for a given first script of a device, in an act in which the largest speed of the device is `speed`.
     fn expected_of(
         &self,
-        index: usize,
+        index: RobotIndex,
         script: &DeviceScript,
         speed: impl FnOnce() -> Option<f64>,
     ) -> Option<Expected> {
@@ -404,21 +410,24 @@ impl Mission {
     }
 }
 
+/// For each robot: the first script of each device, and the largest speed of the device in the act of that script.
+pub(super) type FirstUses = IndexVec<RobotIndex, BTreeMap<DeviceId, (FirstUse, Option<f64>)>>;
+
 /// For each robot: the first use of each device, and the largest speed of the device in that act. `index_of` maps ids of robots to
 /// their indices in the mission.
 pub(super) fn first_uses(
     choreography: &Choreography,
-    first_act: usize,
-    index_of: &HashMap<&RobotId, usize>,
-) -> Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>> {
-    let mut uses = vec![BTreeMap::new(); index_of.len()];
+    first_act: ActIndex,
+    index_of: &HashMap<&RobotId, RobotIndex>,
+) -> FirstUses {
+    let mut uses = FirstUses::from(vec![BTreeMap::new(); index_of.len()]);
     let mut speeds = HashMap::new();
     for (act, written) in choreography.acts.iter().enumerate() {
         for used in &written.devices {
             speeds.insert((act, &used.robot, &used.device), used.speed_max);
         }
     }
-    for first in choreography.first_uses(first_act) {
+    for first in choreography.first_uses(first_act.get()) {
         let planned = &choreography.acts[first.act].plan.robots[first.robot];
         let Some(robot) = index_of.get(&planned.robot) else { continue };
         let device = &planned.scripts[first.script].device;

@@ -12,7 +12,7 @@ use super::poses::Expected;
 use super::robot_state::{Link, RobotState};
 use super::seize::Ownership;
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Mission};
+use super::{ClockMode, Greeting, Mission, RobotIndex};
 
 /// A check before a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -168,7 +168,7 @@ pub(super) fn after_failures(choreography: &Choreography) -> Vec<AfterFailure> {
 }
 
 pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
-    let row = |index: usize| {
+    let row = |index: RobotIndex| {
         let robot = mission.robots[index].id.clone();
         let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
         let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
@@ -176,7 +176,7 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         let readings = readings(mission, index);
         PreflightRow { robot, checks: checks.to_vec(), clock_offset, positions, readings }
     };
-    let rows = (0..mission.robots.len()).map(row).collect();
+    let rows = mission.robots.indices().map(row).collect();
     Preflight {
         greeting: mission.options.greeting,
         rows,
@@ -186,7 +186,7 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
 }
 
 /// All readings of a robot, in this order: those that the fleet file requires, the positions of devices, those that are only displayed.
-fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
+fn readings(mission: &Mission, index: RobotIndex) -> Vec<DeviceReading> {
     let robot = &mission.robots[index];
     let unit = |device: &DeviceId| {
         let described = robot.block.as_ref()?.device(device.as_str())?;
@@ -230,7 +230,7 @@ fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
     }
 }
 
-fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>) -> Verdict {
+fn verdict(mission: &Mission, index: RobotIndex, check: Check, now: Timestamp<Server>) -> Verdict {
     let robot = &mission.robots[index];
     let failures: Vec<String> = robot
         .failures
@@ -291,7 +291,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
     }
 }
 
-fn positions(mission: &Mission, index: usize) -> Verdict {
+fn positions(mission: &Mission, index: RobotIndex) -> Verdict {
     let robot = &mission.robots[index];
     let unknown = match mission.options.greeting {
         Greeting::Full if robot.introduced => mission.unknown_positions(index),

@@ -8,7 +8,7 @@ use super::failure_kind::{FailureKind, Slow};
 use super::lead::{self, LeadTime};
 use super::robot_state::{Link, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Mission, Outcome, ledger};
+use super::{ClockMode, Greeting, Mission, Outcome, RobotIndex, ledger};
 
 /// How long before its latest sending time an act that follows another is sent at the earliest.
 const AHEAD: Span = Span::from_millis(2_000);
@@ -78,7 +78,7 @@ impl Mission {
         let start = (now + need.lead.total()).max(act.target().unwrap_or(now));
         let offenders = self.skew_ahead(act, now, start).map(|skew| skew.offenders()).unwrap_or_default();
         if !offenders.is_empty() {
-            let at = |id| self.robots.iter().position(|robot| robot.id == id);
+            let at = |id| self.robots.position(|robot| robot.id == id);
             let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
             return self.refuse_or_look_again(now, index, failing);
         }
@@ -101,7 +101,12 @@ impl Mission {
 
     /// Handles robots whose devices would have to jump at the start of an act. Robots that joined late are left out, whatever the policy,
     /// because the others could begin without them. Any other robot fails.
-    fn refuse_jumps(&mut self, now: Timestamp<Server>, index: usize, jumping: Vec<(usize, FailureKind)>) {
+    fn refuse_jumps(
+        &mut self,
+        now: Timestamp<Server>,
+        index: usize,
+        jumping: Vec<(RobotIndex, FailureKind)>,
+    ) {
         let (joined, failing): (Vec<_>, Vec<_>) =
             jumping.into_iter().partition(|(robot, _)| self.robots[*robot].joined_late);
         for (robot, kind) in joined {
@@ -122,7 +127,7 @@ impl Mission {
         &mut self,
         now: Timestamp<Server>,
         index: usize,
-        failing: Vec<(usize, FailureKind)>,
+        failing: Vec<(RobotIndex, FailureKind)>,
     ) {
         if failing.iter().any(|(robot, _)| self.plays_before(index, *robot)) {
             return self.acts[index].look_again_at(Some(now + LOOK_AGAIN));
@@ -131,7 +136,7 @@ impl Mission {
     }
 
     /// The robots for which the act would need a longer lease than permitted. No robot may make all others wait without bound.
-    fn too_slow(&self, act: &Act, skew: Option<&SkewBudget>) -> Vec<(usize, FailureKind)> {
+    fn too_slow(&self, act: &Act, skew: Option<&SkewBudget>) -> Vec<(RobotIndex, FailureKind)> {
         let longest = lead::LEASE_MAX;
         let prescribed = act.written().plan.stop_condition.pending;
         let round_trip = lead::counted(self.slowest(act).map_or(Span::ZERO, |(_, round_trip)| round_trip));
@@ -164,7 +169,7 @@ impl Mission {
 
     /// Whether a robot still has a part in an act before this one. Such a robot can finish the earlier act, even if it does not fit this
     /// one.
-    fn plays_before(&self, index: usize, robot: usize) -> bool {
+    fn plays_before(&self, index: usize, robot: RobotIndex) -> bool {
         self.acts[..index].iter().any(|act| act.has_something_on(robot))
     }
 
@@ -201,16 +206,16 @@ impl Mission {
     }
 
     /// The indices of robots of the act whose clocks must be measured but have not been, for example after a mission was resumed.
-    fn unknown_clocks(&self, act: &Act) -> Vec<usize> {
+    fn unknown_clocks(&self, act: &Act) -> Vec<RobotIndex> {
         let full = self.options.greeting == Greeting::Full;
-        let unknown = |robot: &usize| {
+        let unknown = |robot: &RobotIndex| {
             let robot = &self.robots[*robot];
             robot.clock.samples() == 0 && (full || robot.settings.clock == ClockMode::Measured)
         };
         act.present().map(|member| member.robot).filter(unknown).collect()
     }
 
-    fn await_clocks(&mut self, now: Timestamp<Server>, index: usize, unknown: Vec<usize>) {
+    fn await_clocks(&mut self, now: Timestamp<Server>, index: usize, unknown: Vec<RobotIndex>) {
         let (within, since) = (self.options.patience, self.acts[index].since());
         if now < since + within {
             for robot in unknown {
@@ -230,8 +235,12 @@ impl Mission {
 
     /// The robots of an act whose clocks were measured only on an earlier link, each with its deadline for an answer on its new link. A
     /// robot that does not identify itself by that deadline is treated like one without a link.
-    fn unmeasured_on_new_links(&self, now: Timestamp<Server>, act: &Act) -> Vec<(usize, Timestamp<Server>)> {
-        let unmeasured = |robot: usize| {
+    fn unmeasured_on_new_links(
+        &self,
+        now: Timestamp<Server>,
+        act: &Act,
+    ) -> Vec<(RobotIndex, Timestamp<Server>)> {
+        let unmeasured = |robot: RobotIndex| {
             let state = &self.robots[robot];
             let (linked, within) = (state.unmeasured_since()?, answers_within(state));
             if state.is_up() {
@@ -247,7 +256,7 @@ impl Mission {
     /// back in time.
     fn await_links(&mut self, now: Timestamp<Server>, index: usize, lead: Span) -> Option<Timestamp<Server>> {
         let act = &mut self.acts[index];
-        let failed = |robot: usize| match &self.robots[robot].link {
+        let failed = |robot: RobotIndex| match &self.robots[robot].link {
             Link::Lost(lost) if lost.connecting => Some((robot, lost.failed)),
             _ => None,
         };
@@ -268,11 +277,11 @@ impl Mission {
         &mut self,
         now: Timestamp<Server>,
         index: usize,
-        unmeasured: Vec<(usize, Timestamp<Server>)>,
+        unmeasured: Vec<(RobotIndex, Timestamp<Server>)>,
     ) {
         let (waits, silent): (Vec<_>, Vec<_>) = unmeasured.into_iter().partition(|(_, until)| now < *until);
         if !silent.is_empty() {
-            let kind = |robot: usize| FailureKind::Silent {
+            let kind = |robot: RobotIndex| FailureKind::Silent {
                 awaited: "answer on its new link".to_owned(),
                 within: answers_within(&self.robots[robot]),
             };
@@ -435,7 +444,7 @@ impl Mission {
         let session = self.options.session_name();
         let (names, actions) = self.acts[index].promise(timing, &self.robots, session, shift_of);
         for (robot, id, script) in names {
-            self.robots[robot].requests.insert(id, script);
+            self.robots[robot].requests.add_script(id, script);
         }
         for member in self.acts[index].members() {
             let robot = &mut self.robots[member.robot];
@@ -489,15 +498,19 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::bench::{Tells, at, played, robot};
+    use crate::bench::{R0, Tells, at, played, robot};
     use crate::clock::{ClockEstimate, ClockSample};
-    use crate::{Event, MissionOptions, Participant};
+    use crate::robot_state::Robots;
+    use crate::{ActIndex, ActNumber, Event, MissionOptions, Participant};
 
     #[test]
     fn upload_size_is_estimated_from_steps_and_requests() {
-        let robots = [robot("r0", Tells::Everything, 2)];
+        let robots = Robots::from_iter([robot("r0", Tells::Everything, 2)]);
         let bytes = |scripts: &[(&str, i64, i64)]| {
-            request_bytes(&Act::new(played(&[scripts]), 0, 0, &robots, at(0), None), at(0))
+            request_bytes(
+                &Act::new(played(&[scripts]), ActIndex::new(0), ActNumber::new(0), &robots, at(0), None),
+                at(0),
+            )
         };
         let one = bytes(&[("a", 0, 400)]);
         // Two steps of about a hundred bytes, and the remaining request.
@@ -511,12 +524,19 @@ mod tests {
         let participants = vec![Participant::new(RobotId::new("r0").unwrap(), None)];
         let options = MissionOptions::default();
         let mut mission = Mission::new(Arc::clone(&choreography), participants, options, at(0)).unwrap();
-        mission.robots[0].settings.clock = clock;
-        mission.robots[0].shift = Span::from_millis(7);
+        mission.robots[R0].settings.clock = clock;
+        mission.robots[R0].shift = Span::from_millis(7);
         let there = at(0).assume_clock::<urrcp::Robot>() + ahead;
-        mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+        mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
         for number in 0..acts {
-            mission.acts.push(Act::new(Arc::clone(&choreography), 0, number, &mission.robots, at(0), None));
+            mission.acts.push(Act::new(
+                Arc::clone(&choreography),
+                ActIndex::new(0),
+                ActNumber::new(number),
+                &mission.robots,
+                at(0),
+                None,
+            ));
         }
         mission
     }
@@ -541,37 +561,44 @@ mod tests {
     fn link_with_unknown_round_trip_is_awaited_until_its_response_is_due() {
         let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
         let known_at = |mission: &Mission| mission.links_known_at(&mission.acts[0]);
-        mission.robots[0].questions.asked(at(10));
+        mission.robots[R0].questions.asked(at(10));
         assert_eq!(known_at(&mission), None, "there is no link");
-        mission.robots[0].connected(at(0));
-        mission.robots[0].named();
+        mission.robots[R0].connected(at(0));
+        mission.robots[R0].named();
         assert_eq!(known_at(&mission), None, "nothing was asked on it");
-        mission.robots[0].questions.asked(at(10));
+        mission.robots[R0].questions.asked(at(10));
         let there = at(5).assume_clock();
-        mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(8)));
+        mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(8)));
         assert_eq!(known_at(&mission), Some(at(10) + Span::from_millis(8)));
-        mission.robots[0].questions.answer(at(10));
+        mission.robots[R0].questions.answer(at(10));
         assert_eq!(known_at(&mission), None);
     }
 
     #[test]
     fn robot_plays_before_an_act_if_it_has_scripts_of_an_earlier_one() {
         let mut mission = plays(0, ClockMode::Ntp, Span::ZERO);
-        mission.robots[0].block = robot("r0", Tells::Everything, 2).block;
+        mission.robots[R0].block = robot("r0", Tells::Everything, 2).block;
         mission.options.greeting = Greeting::Skip;
-        let _asked = mission.handle(at(0), Event::LinkUp { robot: 0 });
+        let _asked = mission.handle(at(0), Event::LinkUp { robot: R0 });
         let _waits = mission.advance(at(0));
         for count in 1..=2 {
             let _stored = mission.handle(at(0), Event::Recorded { count });
             let _sent = mission.advance(at(0));
         }
-        let act = Act::new(mission.choreography.clone(), 0, 1, &mission.robots, at(0), None);
+        let act = Act::new(
+            mission.choreography.clone(),
+            ActIndex::new(0),
+            ActNumber::new(1),
+            &mission.robots,
+            at(0),
+            None,
+        );
         mission.acts.push(act);
-        assert_eq!([0, 1].map(|index| mission.plays_before(index, 0)), [false, true]);
-        mission.refuse_or_look_again(at(1), 1, vec![(0, broken())]);
-        assert!(!mission.robots[0].has_failed(), "that it fits, whatever comes next");
-        mission.refuse_or_look_again(at(1), 0, vec![(0, broken())]);
-        assert!(mission.robots[0].has_failed());
+        assert_eq!([0, 1].map(|index| mission.plays_before(index, R0)), [false, true]);
+        mission.refuse_or_look_again(at(1), 1, vec![(R0, broken())]);
+        assert!(!mission.robots[R0].has_failed(), "that it fits, whatever comes next");
+        mission.refuse_or_look_again(at(1), 0, vec![(R0, broken())]);
+        assert!(mission.robots[R0].has_failed());
     }
 
     #[test]
@@ -580,7 +607,7 @@ mod tests {
             let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
             mission.options.lead = lead;
             if !measured {
-                mission.robots[0].clock = ClockEstimate::default();
+                mission.robots[R0].clock = ClockEstimate::default();
             }
             mission.need(at(0), &mission.acts[0], None).ok().map(|need| need.lead.total())
         };

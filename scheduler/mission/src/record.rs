@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::facts::is_zero;
-use super::{ActFate, ActReport, Failure, Outcome, Rest};
+use super::{ActFate, ActIndex, ActNumber, ActReport, Failure, Outcome, Rest};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -28,7 +28,7 @@ pub enum Record {
     /// All robots of an act have accepted their scripts.
     Decided {
         /// The number of the act.
-        number: u32,
+        number: ActNumber,
         /// Robots that do not recognize requests by their ids.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
@@ -40,13 +40,13 @@ pub enum Record {
     /// record. The record may therefore be written before every robot has confirmed that it holds its scripts.
     Committed {
         /// The number of the act.
-        number: u32,
+        number: ActNumber,
     },
     /// An act lapses while another act plays: it is not committed, and its leases end. This applies even if its commitment was recorded
     /// ahead of time.
     Lapsing {
         /// The number of the act.
-        number: u32,
+        number: ActNumber,
     },
     /// A script is about to be sent with another offset for its robot's clock than the promise states, because that clock drifts.
     Translated {
@@ -145,7 +145,7 @@ pub(super) struct EndedAct<Report> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActOver {
     /// Index of the act in the choreography.
-    pub act: usize,
+    pub act: ActIndex,
     /// The fate of the act.
     #[serde(flatten)]
     pub fate: ActFate,
@@ -192,9 +192,9 @@ pub struct StepsLate {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     /// The number of the act in the mission.
-    pub number: u32,
+    pub number: ActNumber,
     /// Index of the act in the choreography.
-    pub act: usize,
+    pub act: ActIndex,
     /// The sending timestamp that all requests share.
     pub timestamp: Timestamp<Server>,
     /// The start of the act's first cue.

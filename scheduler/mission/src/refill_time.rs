@@ -18,7 +18,7 @@ impl Mission {
         let later = |refill: &Refill| refill.kind == RefillKind::Later;
         let refills = refills_of_robots(&self.choreography, queue, self.longest_sending(now));
         for refill in refills.into_iter().filter(later) {
-            let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
+            let Some(robot) = self.robots.position(|robot| robot.id == refill.robot) else { continue };
             let needed = self::sending(&self.robots[robot], now);
             if refill.time < needed {
                 let act =
@@ -40,7 +40,7 @@ impl Mission {
         let (Some(timing), Some(target)) = (before.timing(), act.target()) else { return false };
         let pause = (target - timing.end).max(Span::ZERO);
         let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
-        let acts = (before.index(), act.index());
+        let acts = (before.index().get(), act.index().get());
         let refills = refills_behind(&self.choreography, acts, pause, queue, self.longest_sending(now));
         refills.iter().filter(|refill| refill.kind == RefillKind::Later).any(|refill| {
             let robot = self.robots.iter().find(|robot| robot.id == refill.robot);
@@ -86,7 +86,8 @@ fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::{self, Tells, at, ms};
+    use crate::ActIndex;
+    use crate::bench::{self, R0, R1, Tells, at, ms};
     use crate::clock::ClockSample;
 
     #[test]
@@ -140,9 +141,9 @@ mod tests {
         {
             let mut mission = greeted(queue, [ms(1), round_trip]);
             mission.check_refills(at(1_000));
-            assert!(!mission.robots[0].has_failed());
+            assert!(!mission.robots[R0].has_failed());
             let failures: Vec<_> =
-                mission.robots[1].failures.iter().map(|failure| failure.kind.clone()).collect();
+                mission.robots[R1].failures.iter().map(|failure| failure.kind.clone()).collect();
             let expected = FailureKind::NoTimeToSend {
                 device: "a".parse().unwrap(),
                 act: Some("one".to_owned()),
@@ -198,12 +199,12 @@ mod tests {
             mission.choreography = choreography.into();
             mission.options.greeting = crate::Greeting::Skip;
             for robot in 0..2 {
-                let _up = mission.handle(at(1_000), crate::Event::LinkUp { robot });
+                let _up = mission.handle(at(1_000), crate::Event::LinkUp { robot: robot.into() });
             }
             let _known = mission.handle(at(1_000), crate::Event::Recorded { count: 1 });
             assert!(mission.acts[0].timing().is_some());
             assert!(!mission.is_too_tight_behind(at(1_000), 0), "nothing is before it");
-            mission.line_up_act(at(1_000), 1);
+            mission.line_up_act(at(1_000), ActIndex::new(1));
             assert_eq!(mission.is_too_tight_behind(at(1_000), 1), tight, "{wait:?}, {round_trip}");
         }
     }

@@ -3,14 +3,17 @@
 
 use std::cmp::Reverse;
 
-use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, StatusValue, Timestamp};
+use urrcp::{
+    ControlResponse, DeviceId, ErrorCode, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
+};
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
+use super::open_requests::Answered;
 use super::record::Record;
 use super::robot_state::{Rest, SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
-use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
+use super::{ActNumber, Action, ClockMode, Mission, Phase, RobotIndex, StoppedBy, ledger};
 
 /// The minimum time that writing a durable record is assumed to take.
 const RECORDING: Span = Span::from_millis(30);
@@ -18,7 +21,7 @@ const RECORDING: Span = Span::from_millis(30);
 const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
-    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         if !self.is_expected_robot(now, robot, &message) {
             return;
         }
@@ -43,39 +46,81 @@ impl Mission {
         }
     }
 
-    fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
-        let acts = &self.acts;
-        let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
+    fn control_response(&mut self, now: Timestamp<Server>, robot: RobotIndex, response: &ControlResponse) {
+        match self.answered_request(now, robot, response) {
+            Some(Answered::Stop(id)) => self.stop_answered(now, robot, &id, response),
+            Some(Answered::Reading(purpose)) => {
+                self.reading_taken(now, robot, response, purpose);
+                self.goes_on(now);
+            }
+            Some(Answered::Script(script)) => self.script_answered(now, robot, script, response),
+            None => {
+                self.robots[robot].exchanges.ignore();
+                tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
+            }
+        }
+    }
+
+    /// Returns the request that a response answers; `None` if it answers none. A response without an id belongs to a stop, to a script or
+    /// to a reading, whichever it can answer.
+    fn answered_request(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        response: &ControlResponse,
+    ) -> Option<Answered> {
+        if let Some(id) = &response.request_id {
+            return self.robots[robot].requests.answer_named(id);
+        }
+        let script = self.script_without_id(robot, response);
+        let state = &mut self.robots[robot];
+        let reported = script.filter(|_| state.reports());
+        if let Some(id) = state.stop_confirmed_without_id(now, response, reported) {
+            return Some(Answered::Stop(id));
+        }
+        match script {
+            Some(script) => Some(Answered::Script(script)),
+            // A refusal may belong to a reading or to a script.
+            None => state.requests.answer_oldest_reading(response).map(Answered::Reading),
+        }
+    }
+
+    /// Returns the script to which a response without an id may belong.
+    fn script_without_id(&self, robot: RobotIndex, response: &ControlResponse) -> Option<ScriptRef> {
+        let state = &self.robots[robot];
         // A stop also produces an `OK`. An `OK` is the end of a script only once the script can have ended.
         let meant = |script: &ScriptRef| {
-            !stopped || response.status != Status::Ok || {
-                let act = acts.iter().find(|act| act.number() == script.act);
+            !state.stop_was_sent() || response.status != Status::Ok || {
+                let act = self.acts.iter().find(|act| act.number() == script.act);
                 act.is_some_and(|act| act.can_have_ended(*script, response.timestamp))
             }
         };
-        let says = if reports { Says::ByItself } else { Says::Answers };
-        let open = |device: &DeviceId| open_without_name(acts, (robot, says), device, response).filter(meant);
-        let open_on = |device: &DeviceId| reports && open(device).is_some();
-        let unnamed = open(&response.device_id);
-        if self.robots[robot].stop_answered(now, response, open_on) {
-            self.stop_confirmed(now, robot);
-            self.stop_refused(robot);
-            self.ask_how_far_it_came(now, robot);
-            return self.stop_progress(now);
-        }
-        // Without an id, a refusal may belong to a reading or to a script.
-        let may_be_a_reading = unnamed.is_none() || response.status == Status::Provide;
-        if may_be_a_reading && self.reading_taken(now, robot, response) {
-            return self.goes_on(now);
-        }
-        let script = match &response.request_id {
-            Some(id) => self.robots[robot].requests.get(id).copied(),
-            None => unnamed,
-        };
-        let Some(script) = script else {
-            self.robots[robot].exchanges.ignore();
-            return tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
-        };
+        let says = if state.reports() { Says::ByItself } else { Says::Answers };
+        open_without_name(&self.acts, (robot, says), &response.device_id, response).filter(meant)
+    }
+
+    fn stop_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        id: &RequestId,
+        response: &ControlResponse,
+    ) {
+        self.robots[robot].stop_answered(id, response);
+        self.stop_confirmed(now, robot);
+        self.stop_refused(robot);
+        self.ask_how_far_it_came(now, robot);
+        self.stop_progress(now);
+    }
+
+    fn script_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        script: ScriptRef,
+        response: &ControlResponse,
+    ) {
+        let stopped = self.robots[robot].stop_was_sent();
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         if stopped && response.status == Status::Ok && names_nothing(response) {
             // It is unknown whether the script or the stop has ended.
@@ -97,12 +142,12 @@ impl Mission {
     }
 
     /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
-    fn rests_already(&mut self, now: Timestamp<Server>, robot: usize) {
-        let stop = &mut self.robots[robot].stop;
-        if !matches!(stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
+    fn rests_already(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
+        let state = &mut self.robots[robot];
+        if !matches!(state.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
             return;
         }
-        *stop = Stop::Confirmed(Rest::InPlace);
+        state.set_stop(Stop::Confirmed(Rest::InPlace));
         self.stop_confirmed(now, robot);
         if matches!(self.phase, Phase::Stopping { .. }) {
             self.stop_progress(now);
@@ -112,7 +157,7 @@ impl Mission {
     /// Handles a robot that refuses the stop because it now belongs to another session. The refusal is reported once. If the operator
     /// requested the stop, it is repeated, because the robot may become free. A mission that has failed leaves the robot to the other
     /// session, so that no later stop affects that session.
-    fn stop_refused(&mut self, robot: usize) {
+    fn stop_refused(&mut self, robot: RobotIndex) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
         if let Stop::Sent(sent) = &mut self.robots[robot].stop {
             sent.given_up |= sent.taken_over.is_some() && !by_operator;
@@ -127,7 +172,7 @@ impl Mission {
     }
 
     /// Sends a robot as many scripts as its devices have room for, in order of start.
-    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if !self.robots[robot].may_be_sent_scripts() {
             return;
         }
@@ -162,7 +207,9 @@ impl Mission {
         state.shift = shift.unwrap_or(state.shift);
         state.touched.insert(request.device_id.clone());
         state.at_rest = false;
-        state.requests.extend(request.request_id.clone().map(|id| (id, script)));
+        if let Some(id) = &request.request_id {
+            state.requests.add_script(id.clone(), script);
+        }
         self.send(now, robot, Message::ControlRequest(request));
         if keeps_limit {
             // A robot that already has the script keeps the limit of the earlier request, and only an inquiry extends that limit.
@@ -180,7 +227,7 @@ impl Mission {
 
     /// Sends a message. While an act of the robot approaches its start, a question that carries the lease is sent ahead of the message.
     /// Between the critical instant (when the scheduler stops sending before a start) and the commitment, the message is deferred.
-    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
+    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: RobotIndex, mut message: Message) {
         let waits = |act: &Act| act.holds_messages_to(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
             return self.deferred.push((robot, message));
@@ -195,14 +242,14 @@ impl Mission {
 
     /// Sets `pending_until`, the limit after which a robot drops a script that is not decided. Only an inquiry extends the limit, so a
     /// robot without inquiries gets none.
-    fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
+    fn limit(&self, now: Timestamp<Server>, robot: RobotIndex, message: &mut Message) {
         let Message::ControlRequest(request) = message else { return };
         let state = &self.robots[robot];
-        let script = request.request_id.as_ref().and_then(|id| state.requests.get(id));
+        let script = request.request_id.as_ref().and_then(|id| state.requests.script(id));
         let Some(script) = script.filter(|_| state.takes_inquiries()) else { return };
         let act = self.acts.iter().find(|act| act.number() == script.act);
         let ahead = state.clock_at(now).map(|reading| reading.offset);
-        request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
+        request.pending_until = act.and_then(|act| act.pending_until(script, ahead));
     }
 
     /// Sends the messages that were deferred until an act was committed or withdrawn.
@@ -216,15 +263,15 @@ impl Mission {
         }
     }
 
-    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         self.post_by(now, robot, message, false);
     }
 
-    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
         self.post_by(now, robot, message, true);
     }
 
-    fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
+    fn post_by(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message, urgent: bool) {
         if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
             self.robots[robot].is_sent(now, &message);
             self.actions.push(Action::Send { robot, message, urgent });
@@ -237,7 +284,7 @@ impl Mission {
     }
 
     /// Writes a record that an act waits for.
-    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: u32, record: Record) {
+    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: ActNumber, record: Record) {
         let durable = record.is_durable();
         self.record(record);
         if durable {
@@ -308,7 +355,7 @@ pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
 /// arrive in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
-    (robot, says): (usize, Says),
+    (robot, says): (RobotIndex, Says),
     device: &DeviceId,
     response: &ControlResponse,
 ) -> Option<ScriptRef> {
@@ -363,7 +410,7 @@ pub(super) fn open_without_name(
 /// The scripts of an act on a robot's device, in order of time, with their references.
 fn of_device<'a>(
     act: &'a Act,
-    robot: usize,
+    robot: RobotIndex,
     device: &'a DeviceId,
 ) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a Script)> {
     let places = act.place_of(robot).into_iter();

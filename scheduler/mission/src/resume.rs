@@ -10,7 +10,10 @@ use super::act::{Act, Reached};
 use super::kept::{Kept, Left, Progressed};
 use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
-use super::{ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
+use super::{
+    ActIndex, ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, RobotIndex,
+    ledger,
+};
 
 /// Error: a promise does not match the current choreography.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -50,7 +53,7 @@ impl Mission {
         mission.note_failures_of(&kept.failures);
         mission.list_ended(ended, kept.ended_acts);
         for ActOver { act, fate } in &kept.course {
-            let course = mission.fates.get_mut(*act);
+            let course = mission.fates.get_mut(act.get());
             course.into_iter().for_each(|course| course.note(fate.clone()));
         }
         for (promise, progressed) in &kept.promises {
@@ -92,6 +95,7 @@ impl Mission {
                 index.into_iter().for_each(|index| report.add_to(&mut self.robots[*index].totals, robot));
             }
             let act = self.choreography.acts.iter().position(|act| act.called() == report.act);
+            let act = act.map(ActIndex::new);
             let members = report.robots.iter().filter_map(|robot| index_of.get(&robot.robot).copied());
             act.into_iter().for_each(|act| self.note_late_joiners(act, members.clone(), &index_of));
             self.note_begun(act);
@@ -104,23 +108,23 @@ impl Mission {
     }
 
     /// Notes that an act has begun. A start that the operator fixes applies only to the first start of that act.
-    fn note_begun(&mut self, act: Option<usize>) {
+    fn note_begun(&mut self, act: Option<ActIndex>) {
         self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
 
-    fn indices(&self) -> HashMap<RobotId, usize> {
-        self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
+    fn indices(&self) -> HashMap<RobotId, RobotIndex> {
+        self.robots.enumerated().map(|(index, robot)| (robot.id.clone(), index)).collect()
     }
 
     /// Marks robots as absent that have a part in an act, but were missing when it was sent. They may join later.
     fn note_late_joiners(
         &mut self,
-        act: usize,
-        members: impl Iterator<Item = usize>,
-        index_of: &HashMap<RobotId, usize>,
+        act: ActIndex,
+        members: impl Iterator<Item = RobotIndex>,
+        index_of: &HashMap<RobotId, RobotIndex>,
     ) {
-        let members: HashSet<usize> = members.collect();
-        let planned = self.choreography.acts[act].plan.robots.iter();
+        let members: HashSet<RobotIndex> = members.collect();
+        let planned = self.choreography.acts[act.get()].plan.robots.iter();
         for index in planned.filter_map(|planned| index_of.get(&planned.robot)) {
             let robot = &mut self.robots[*index];
             let is_member = members.contains(index);
@@ -141,13 +145,13 @@ impl Mission {
     /// Stops robots that were left out and have not confirmed their stop, because the previous process may have died before it sent one.
     fn stop_those_left_out(&mut self, kept: &Kept, now: Timestamp<Server>) {
         let left = kept.left();
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             let id = &self.robots[robot].id;
             if !kept.dropped.contains(id) {
                 continue;
             }
             if kept.stopped.contains(id) {
-                self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+                self.robots[robot].set_stop(Stop::Confirmed(Rest::InPlace));
                 continue;
             }
             self.holds_still(robot, &left, now);
@@ -156,7 +160,7 @@ impl Mission {
     }
 
     /// Asks a robot that the previous process left out, and that has confirmed its stop, which steps it played.
-    pub(super) fn ask_how_far_it_came(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask_how_far_it_came(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let is_out = state.standing == Standing::Out && matches!(state.stop, Stop::Confirmed(_));
         if is_out && state.takes_inquiries() {
@@ -168,7 +172,7 @@ impl Mission {
     }
 
     /// Notes the moved devices and the leases that another process has left on a robot, if any.
-    fn holds_still(&mut self, robot: usize, left: &Left, now: Timestamp<Server>) {
+    fn holds_still(&mut self, robot: RobotIndex, left: &Left, now: Timestamp<Server>) {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
         let Some(left) = left.robots.get(&robot.id) else { return };
@@ -198,7 +202,7 @@ impl Mission {
         let options = MissionOptions { transfer: None, ..options };
         // The choreography requires no robot, so none can be missing.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
-        for robot in 0..mission.robots.len() {
+        for robot in mission.robots.indices() {
             if let Some(own_id) = left.own_ids.get(&mission.robots[robot].id) {
                 mission.robots[robot].own_id.clone_from(own_id);
             }
@@ -216,7 +220,7 @@ impl Mission {
         for act in &mut self.acts {
             act.note_as_sent_until(now);
         }
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             // Scripts beyond a device's queue are sent once there is room. If one was already sent, its id shows that.
             for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
                 let act = self.acts.iter_mut().find(|act| act.number() == script.act);
@@ -238,7 +242,7 @@ impl Mission {
         }
         for (robot, id, script) in act.all_names() {
             let robot = &mut self.robots[robot];
-            robot.requests.insert(id, script);
+            robot.requests.add_script(id, script);
             robot.touched.insert(act.script(script).plan.device.clone());
         }
         for member in act.members() {
@@ -252,7 +256,7 @@ impl Mission {
         if !act.is_committed() {
             act.decided().into_iter().for_each(|decided| self.tell(decided));
         }
-        self.acts_begun = self.acts_begun.max(promise.number + 1);
+        self.acts_begun = self.acts_begun.max(promise.number.get() + 1);
         self.acts.push(act);
         Ok(())
     }

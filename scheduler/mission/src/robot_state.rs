@@ -2,7 +2,7 @@
 
 mod invariants;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{
@@ -14,11 +14,11 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::latency::LatencyDiffers;
-use super::reads::OwedReadings;
+use super::open_requests::OpenRequests;
 use super::requests::may_be_for_a_stop;
-use super::script::{Ending, Script, ScriptRef, ScriptState};
+use super::script::{Script, ScriptRef};
 use super::seize::Ownership;
-use super::{ClockMode, Loss, MissionSettings, Participant};
+use super::{ActNumber, ClockMode, IndexVec, Loss, MissionSettings, Participant, RobotIndex};
 use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
@@ -81,7 +81,6 @@ pub(crate) enum Stop {
 pub(crate) struct SentStop {
     pub(crate) at: Timestamp<Server>,
     pub(crate) rest: Rest,
-    pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
     /// The error with which the robot refused the stop, if it belongs to another session. Such a robot no longer holds anything of this
     /// session.
     pub(crate) taken_over: Option<ControlError>,
@@ -111,11 +110,11 @@ pub(crate) enum Reading {
     /// A reading that is only displayed before a mission.
     Shown(DeviceId),
     /// An act waits for the reading. Contains the number of the act.
-    Wait(u32),
+    Wait(ActNumber),
     /// The scenario requests the reading. Contains the number of the act, and the index of the reading.
-    Planned(u32, usize),
+    Planned(ActNumber, usize),
     /// The reading detects when a device begins to move. Contains the number of the act, and the index among the act's watched devices.
-    Motion(u32, usize),
+    Motion(ActNumber, usize),
 }
 
 /// A robot's totals over all acts that have ended.
@@ -155,7 +154,7 @@ impl Totals {
         self.sent += usize::from(!script.is_planned());
         // A script that has begun was accepted, even if the acceptance was lost.
         self.accepted += usize::from(script.was_accepted() || script.has_begun());
-        self.failed += usize::from(matches!(script.state(), ScriptState::Ended(Ending::Failed(_))));
+        self.failed += usize::from(script.has_failed());
         self.started += usize::from(script.has_started());
         self.steps_done += u64::from(script.steps_done());
         self.steps_planned += script.plan.script.steps().len() as u64;
@@ -232,6 +231,9 @@ impl Questions {
     }
 }
 
+/// The robots of a mission.
+pub(crate) type Robots = IndexVec<RobotIndex, RobotState>;
+
 /// One robot of the mission.
 #[derive(Debug)]
 pub(crate) struct RobotState {
@@ -292,9 +294,8 @@ pub(crate) struct RobotState {
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
     /// The reason why a device gave no reading, in the robot's words.
     pub(crate) unread: BTreeMap<DeviceId, String>,
-    pub(crate) reads: OwedReadings,
-    /// The requests that were sent to the robot, by their ids.
-    pub(crate) requests: HashMap<RequestId, ScriptRef>,
+    /// The requests that were sent to the robot and whose answers are expected.
+    pub(crate) requests: OpenRequests,
     /// Devices to which this mission has sent anything that moves them.
     pub(crate) touched: BTreeSet<DeviceId>,
     /// Whether the robot has confirmed its stop and has since been sent nothing that moves it.
@@ -327,7 +328,7 @@ const UNDER_WAY: Span = Span::from_millis(1_000);
 /// A request for the positions of a robot's devices before an act.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionsAsked {
-    pub(crate) act: u32,
+    pub(crate) act: ActNumber,
     pub(crate) at: Timestamp<Server>,
     /// The time of the first request for positions before this act.
     pub(crate) since: Timestamp<Server>,
@@ -370,8 +371,7 @@ impl RobotState {
             positions_owed: 0,
             shown: Vec::new(),
             unread: BTreeMap::new(),
-            reads: OwedReadings::default(),
-            requests: HashMap::new(),
+            requests: OpenRequests::default(),
             touched: BTreeSet::new(),
             at_rest: false,
             stop: Stop::None,
@@ -459,7 +459,7 @@ impl RobotState {
         self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
         self.exchanges.begin_again();
-        self.reads.clear();
+        self.requests.clear_readings();
         self.positions_asked = None;
     }
 
@@ -601,7 +601,8 @@ impl RobotState {
     /// Marks the robot's stop as over, so that the robot can play again. A robot that was left out stays stopped.
     pub(crate) fn plays_again(&mut self) {
         if self.standing != Standing::Out {
-            (self.stop, self.at_rest) = (Stop::None, true);
+            self.set_stop(Stop::None);
+            self.at_rest = true;
             self.left.clear();
         }
     }
@@ -665,43 +666,42 @@ impl RobotState {
         self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
-    /// Processes a response if it answers a stop request. A response without an id does so only if it cannot belong to a script of its
-    /// device: `open_on` returns whether such a script is open. A mission that only withdraws another one knows no scripts.
-    pub(crate) fn stop_answered(
-        &mut self,
+    /// Replaces the state of the robot's stop. The requests of the previous stop no longer count.
+    pub(crate) fn set_stop(&mut self, stop: Stop) {
+        self.requests.remove_all_stops();
+        self.stop = stop;
+    }
+
+    /// Returns the id of the stop that a response without an id confirms; `None` if it does not confirm a stop. It does so only if it
+    /// cannot belong to `open`, a script of its device. A mission that only withdraws another one knows no scripts.
+    pub(crate) fn stop_confirmed_without_id(
+        &self,
         now: Timestamp<Server>,
         response: &ControlResponse,
-        open_on: impl Fn(&DeviceId) -> bool,
-    ) -> bool {
-        let said_at = self.said_at(now, response.timestamp);
-        let Stop::Sent(sent) = &mut self.stop else { return false };
+        open: Option<ScriptRef>,
+    ) -> Option<RequestId> {
+        let Stop::Sent(sent) = &self.stop else { return None };
         // An acceptance confirms only a future action, and without an id possibly that of a script.
-        let confirms = response.status == Status::Ok;
-        let id = match &response.request_id {
-            Some(id) if !sent.unconfirmed.contains_key(id) => return false,
-            Some(id) => id.clone(),
-            None => {
-                let of_device = |(_, device): &(&RequestId, &DeviceId)| **device == response.device_id;
-                let open = sent.unconfirmed.iter().find(of_device).map(|(id, _)| id.clone());
-                let before = said_at < sent.at;
-                let is_meant = confirms && may_be_for_a_stop(response) && !before;
-                match open.filter(|_| is_meant && !open_on(&response.device_id)) {
-                    Some(id) => id,
-                    None => return false,
-                }
-            }
-        };
+        let confirms = response.status == Status::Ok && may_be_for_a_stop(response);
+        let is_meant = confirms && open.is_none() && self.said_at(now, response.timestamp) >= sent.at;
+        let mut stops = self.requests.stops().filter(|_| is_meant);
+        stops.find(|(_, device)| **device == response.device_id).map(|(id, _)| id.clone())
+    }
+
+    /// Processes the answer to the stop of one device. Only `OK` confirms the stop.
+    pub(crate) fn stop_answered(&mut self, id: &RequestId, response: &ControlResponse) {
+        let Stop::Sent(sent) = &mut self.stop else { return };
         let busy = response.error.as_ref().filter(|error| error.code == ErrorCode::Busy);
         if let Some(error) = busy.filter(|_| response.status == Status::Failed) {
             sent.taken_over.get_or_insert_with(|| error.clone());
         }
-        if confirms {
-            sent.unconfirmed.remove(&id);
-            if sent.unconfirmed.is_empty() {
-                self.stop = Stop::Confirmed(sent.rest);
+        let rest = sent.rest;
+        if response.status == Status::Ok {
+            self.requests.remove_stop(id);
+            if self.requests.stops().next().is_none() {
+                self.stop = Stop::Confirmed(rest);
             }
         }
-        true
     }
 }
 

@@ -14,7 +14,7 @@ use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
 use super::robot_state::Standing;
 use super::seize::Ownership;
-use super::{Greeting, Mission, Phase, Progress, error_of_status};
+use super::{Greeting, Mission, Phase, Progress, RobotIndex, error_of_status};
 use crate::clock::ClockSample;
 
 /// Interval between two rounds of questions if no lease requires a shorter one.
@@ -48,7 +48,7 @@ impl Mission {
 
     fn renew_all(&mut self, now: Timestamp<Server>) {
         let lately = now - self.round_interval() / 2;
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
                 (false, _) if self.is_asked_anyway(lately, robot) => {}
                 (false, _) if self.robots[robot].standing == Standing::Absent => self.ask_absent(now, robot),
@@ -61,14 +61,14 @@ impl Mission {
     }
 
     /// Requests the availability of a robot that is to join, until it is available.
-    fn ask_absent(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn ask_absent(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.robots[robot].is_up() && self.options.greeting == Greeting::Full {
             self.ask_availability(now, robot);
         }
     }
 
     /// Whether an act that approaches its start asks the robot itself. To save bandwidth, the robot is not asked twice.
-    fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: usize) -> bool {
+    fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: RobotIndex) -> bool {
         let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
         asked && self.acts.iter().any(|act| act.approaches(robot))
     }
@@ -94,7 +94,7 @@ impl Mission {
     }
 
     /// Asks a robot for its times, which renews all leases. While an act approaches its start, also asks about its scripts.
-    pub(super) fn ask(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             return self.inquire(now, robot);
         }
@@ -104,14 +104,14 @@ impl Mission {
     }
 
     /// Asks a robot about all its scripts, and makes it shorten the leases of acts that approach their start.
-    pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if !self.acts.iter().any(|act| act.holds_messages_to(robot, now)) {
             self.inquire_now(now, robot);
         }
     }
 
     /// Like `inquire`, but also asks while messages to the robot are held back. Used before an urgent message.
-    pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let ahead = self.robots[robot].clock_at(now).map(|reading| reading.offset);
         let named = self.acts.iter().flat_map(|act| {
             let named = act.names_of(robot, now, ahead);
@@ -121,7 +121,7 @@ impl Mission {
         self.ask_about(now, robot, named);
     }
 
-    pub(super) fn ask_about(&mut self, now: Timestamp<Server>, robot: usize, named: Vec<NamedScripts>) {
+    pub(super) fn ask_about(&mut self, now: Timestamp<Server>, robot: RobotIndex, named: Vec<NamedScripts>) {
         let state = &mut self.robots[robot];
         if !state.is_up() {
             return;
@@ -149,7 +149,7 @@ impl Mission {
 
     /// Asks a robot for its times and claims it for the session. This also renews all leases. If requested, takes the robot over from
     /// another session.
-    pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         self.robots[robot].questions.asked(now);
         self.robots[robot].exchanges.asked(now, 1);
         let session = self.options.session_on_the_wire();
@@ -159,7 +159,7 @@ impl Mission {
     }
 
     /// Processes the times in a robot's answer.
-    pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
+    pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: RobotIndex, sample: ClockSample) {
         let state = &mut self.robots[robot];
         let (steps, known) = (state.clock.steps(), state.clock.tells_outliers());
         let owed = state.owes_its_times();
@@ -185,12 +185,12 @@ impl Mission {
 
     /// Handles a clock that was set or that this process sees for the first time. A robot whose clock was set since an act was sent to it
     /// may start long before the others.
-    fn clock_is_new(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn clock_is_new(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         self.robots[robot].clock_was_set();
         // An act may have waited for the new clock.
         self.acts.iter_mut().for_each(Act::look_again);
         let plays = |act: &&Act| act.place_of(robot).is_some();
-        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
+        let mut failing: Vec<(RobotIndex, FailureKind)> = Vec::new();
         for (robot, kind) in self.acts.iter().filter(plays).flat_map(|act| act.strayed(now, &self.robots)) {
             if !failing.iter().any(|(other, _)| *other == robot) {
                 failing.push((robot, kind));
@@ -207,7 +207,12 @@ impl Mission {
 
     /// Notes that a question reached a robot at `at` by the robot's clock. A robot that takes no inquiries fails if it received nothing
     /// for longer than its lease: it has then dropped its scripts, and does not report that when asked.
-    pub(super) fn question_reached(&mut self, now: Timestamp<Server>, robot: usize, at: Timestamp<Robot>) {
+    pub(super) fn question_reached(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: RobotIndex,
+        at: Timestamp<Robot>,
+    ) {
         let Some(before) = self.robots[robot].reached(at) else { return };
         if self.robots[robot].takes_inquiries() {
             return;
@@ -225,7 +230,7 @@ impl Mission {
     pub(super) fn inquiry_answered(
         &mut self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         response: &InquiryResponse,
     ) {
         let times = Times {
@@ -246,7 +251,7 @@ impl Mission {
         }
         self.take_times(now, robot, sample);
         for report in &response.requests {
-            let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
+            let Some(script) = self.robots[robot].requests.script(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
             let was_lost = act.script(script).is_lost();
             let noted =
@@ -270,7 +275,7 @@ impl Mission {
 
     /// Asks a robot again after each answer, until enough round trips are known to distinguish outliers. A process that took over the
     /// mission initially knows a robot's link by a single exchange, which may have been unusually slow.
-    pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
         if self.phase == Phase::Performing && !known && state.questions.last_unanswered().is_none() {
@@ -279,7 +284,7 @@ impl Mission {
     }
 
     /// Reports a robot's own status to the operator from time to time.
-    fn tell_heard(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn tell_heard(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
         if state.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
             return;
@@ -289,7 +294,7 @@ impl Mission {
     }
 
     /// Reports a robot's steps and clock to the operator.
-    pub(super) fn tell_steps(&mut self, robot: usize) {
+    pub(super) fn tell_steps(&mut self, robot: RobotIndex) {
         let state = &self.robots[robot];
         let (id, clock_offset) = (state.id.clone(), state.clock.reading().map(|reading| reading.offset));
         let member = self.acts.first().and_then(|act| act.member(robot));
@@ -299,7 +304,7 @@ impl Mission {
     }
 
     /// How long a robot may owe an answer while it has scripts of a committed act; `None` if no limit applies.
-    pub(super) fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
+    pub(super) fn silence_bound(&self, now: Timestamp<Server>, robot: RobotIndex) -> Option<Span> {
         let state = &self.robots[robot];
         let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
         let linked = state.is_up() || state.owes_its_name_since().is_some();
@@ -313,13 +318,13 @@ impl Mission {
     /// The time of the next check for silent robots: when a robot will have been silent for too long, or when another lease begins to
     /// apply with its next script.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let due = |robot: usize| {
+        let due = |robot: RobotIndex| {
             let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;
             let begins =
                 self.acts.iter().filter_map(|act| Some(act.out_of_quiet(act.next_begin(robot, now)?)));
             begins.chain([silent]).min()
         };
-        (0..self.robots.len()).filter_map(due).min()
+        self.robots.indices().filter_map(due).min()
     }
 
     /// Fails robots that owe an answer for longer than their running lease, whatever the state of their link.
@@ -327,13 +332,13 @@ impl Mission {
         if self.next_silence.is_none_or(|due| now < due) {
             return;
         }
-        let silent = |robot: usize| {
+        let silent = |robot: RobotIndex| {
             let within = self.silence_bound(now, robot)?;
             self.robots[robot].silent_at(within).filter(|due| now >= *due)?;
             let awaited = "answer".to_owned();
             Some((robot, FailureKind::Silent { awaited, within }))
         };
-        let silent: Vec<_> = (0..self.robots.len()).filter_map(silent).collect();
+        let silent: Vec<_> = self.robots.indices().filter_map(silent).collect();
         if !silent.is_empty() {
             self.fail_all(now, silent);
         }

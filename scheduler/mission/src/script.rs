@@ -9,14 +9,15 @@ use urrcp::{
 };
 
 use super::claim::{Claim, Told};
+use super::{ActNumber, MemberIndex};
 
 /// Identifies one script of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct ScriptRef {
     /// The number of the script's act in the mission.
-    pub(crate) act: u32,
+    pub(crate) act: ActNumber,
     /// Index of the robot among the robots (members) of the act.
-    pub(crate) member: usize,
+    pub(crate) member: MemberIndex,
     /// Index of the script among the scripts of that member.
     pub(crate) script: usize,
 }
@@ -45,6 +46,90 @@ pub(crate) enum Ending {
     Completed,
     /// The script was refused or ended early.
     Failed(ControlError),
+    /// The robot made an impossible statement about the script. All further statements about it are ignored.
+    Discredited(ControlError),
+}
+
+/// What the robot has stated about its acceptance of a script.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Acceptance {
+    None,
+    /// The script began or ended, so the robot had accepted it.
+    Implied,
+    /// The time of the first report that the robot holds the script, by the robot's clock.
+    At(Timestamp<Robot>),
+}
+
+/// What the robot has stated about the start of a script.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Start {
+    None,
+    /// The script has begun, but no credible report states when.
+    Unknown,
+    At(Timestamp<Robot>),
+}
+
+impl Acceptance {
+    const fn implied(self) -> Self {
+        match self {
+            Self::None => Self::Implied,
+            Self::Implied | Self::At(_) => self,
+        }
+    }
+}
+
+impl Start {
+    /// The start according to a further report, which may state its time.
+    fn or(self, at: Option<Timestamp<Robot>>) -> Self {
+        match self {
+            Self::None | Self::Unknown => at.map_or(self, Self::At),
+            Self::At(_) => self,
+        }
+    }
+}
+
+/// The clock offset with which a script is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Shift {
+    /// The offset of the act.
+    OfAct,
+    Own(Span),
+    /// Another process may have sent the script with an offset that is missing in the journal. Contains the assumed offset, if it differs
+    /// from the one of the act.
+    Lost(Option<Span>),
+}
+
+/// The times at which a script's request was sent, or is assumed to have been sent.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    first: Timestamp<Server>,
+    last: Timestamp<Server>,
+    by: Sender,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sender {
+    ThisProcess,
+    /// It is assumed that a process that has died sent the request.
+    Another,
+}
+
+/// The steps of a script that its robot has reported.
+#[derive(Clone, Copy, Debug, Default)]
+struct Steps {
+    done: u32,
+    late: u32,
+    /// The largest lateness of a step.
+    late_max: Option<Span>,
+}
+
+impl Steps {
+    /// Adds a report, which may be older than an earlier one.
+    fn count(&mut self, done: Option<u32>, late: Option<u32>, late_max: Option<Millis>) {
+        self.done = self.done.max(done.unwrap_or(0));
+        self.late = self.late.max(late.unwrap_or(0));
+        self.late_max = self.late_max.max(late_max.map(Millis::span));
+    }
 }
 
 /// The new information about a script in an answer.
@@ -78,37 +163,24 @@ pub(crate) struct Script {
     /// The number of times that the robot had no room for the script.
     refusals: u32,
     content_hash: ContentHash,
-    /// The offset added to the timestamp of the script's request, if it differs from the offset of the act.
-    shift: Option<Span>,
-    /// Whether another process may have sent the script with an offset that is missing in the journal.
-    shift_is_lost: bool,
+    shift: Shift,
     /// The planned time from the start of the act until the script begins to move its device.
     starts: Span,
     duration: Span,
     running: RunningLeases,
-    accepted: bool,
-    started_at: Option<Timestamp<Robot>>,
-    steps_done: u32,
-    late_steps: u32,
-    late_max: Option<Span>,
-    /// Whether the robot reported that the script began, although no other report about the script is credible.
-    began: bool,
-    /// Whether the robot made an impossible statement about the script.
-    discredited: bool,
+    acceptance: Acceptance,
+    start: Start,
+    steps: Steps,
     /// The latest report of executed steps, with its time by the robot's clock.
     steps_said: Option<(Timestamp<Robot>, u32)>,
-    /// The time of the first report that the robot holds the script, by the robot's clock.
-    accepted_at: Option<Timestamp<Robot>>,
     /// The sending time of the latest question to which the robot answered that it holds the script.
     held_at: Option<Timestamp<Server>>,
     /// The sending time of the newest inquiry whose answer reports on the script.
     reported_at: Option<Timestamp<Server>>,
-    sent_at: Option<Timestamp<Server>>,
-    first_sent_at: Option<Timestamp<Server>>,
+    /// `None` if the script was not sent, as far as known.
+    sent: Option<Sent>,
     /// Whether another process may have sent the script before this process took over, even if its robot has not reported on it.
     perhaps_sent: bool,
-    /// Whether this process itself has sent the script.
-    sent_here: bool,
     /// Whether the robot no longer knows the script, although it had accepted it.
     lost: bool,
 }
@@ -126,23 +198,15 @@ impl Script {
             request_id: None,
             promised_id: None,
             refusals: 0,
-            shift: None,
-            shift_is_lost: false,
-            accepted: false,
-            started_at: None,
-            steps_done: 0,
-            late_steps: 0,
-            late_max: None,
-            began: false,
-            discredited: false,
+            shift: Shift::OfAct,
+            acceptance: Acceptance::None,
+            start: Start::None,
+            steps: Steps::default(),
             steps_said: None,
-            accepted_at: None,
             held_at: None,
             reported_at: None,
-            sent_at: None,
-            first_sent_at: None,
+            sent: None,
             perhaps_sent: false,
-            sent_here: false,
             lost: false,
         }
     }
@@ -160,31 +224,35 @@ impl Script {
     }
 
     pub(super) const fn translate(&mut self, shift: Span) {
-        self.shift = Some(shift);
-        self.shift_is_lost = false;
+        self.shift = Shift::Own(shift);
     }
 
     pub(super) const fn lose_shift(&mut self) {
-        self.shift_is_lost = true;
+        self.shift = Shift::Lost(self.shift());
     }
 
     /// Whether the script's planned start by its robot's clock is known only to within the drift of that clock.
     pub(super) const fn shift_is_lost(&self) -> bool {
-        self.shift_is_lost
+        matches!(self.shift, Shift::Lost(_))
     }
 
+    /// The offset added to the timestamp of the script's request; `None` if it is the offset of the act.
     pub(super) const fn shift(&self) -> Option<Span> {
-        self.shift
+        match self.shift {
+            Shift::OfAct => None,
+            Shift::Own(shift) => Some(shift),
+            Shift::Lost(shift) => shift,
+        }
     }
 
     /// The time at which the script's request was sent for the first time.
-    pub(crate) const fn first_sent_at(&self) -> Option<Timestamp<Server>> {
-        self.first_sent_at
+    pub(crate) fn first_sent_at(&self) -> Option<Timestamp<Server>> {
+        self.sent.map(|sent| sent.first)
     }
 
     /// Whether the script's request was sent more than once, as far as known.
     pub(crate) fn came_again(&self) -> bool {
-        self.perhaps_sent || self.first_sent_at != self.sent_at
+        self.perhaps_sent || self.sent.is_some_and(|sent| sent.first != sent.last)
     }
 
     /// The planned time from the start of the act until the script begins to move its device. A device that moves linearly does so when
@@ -213,29 +281,35 @@ impl Script {
     }
 
     pub(crate) const fn was_accepted(&self) -> bool {
-        self.accepted
+        !matches!(self.acceptance, Acceptance::None)
     }
 
     pub(crate) const fn started_at(&self) -> Option<Timestamp<Robot>> {
-        self.started_at
+        match self.start {
+            Start::At(at) => Some(at),
+            Start::None | Start::Unknown => None,
+        }
     }
 
     pub(crate) const fn steps_done(&self) -> u32 {
-        self.steps_done
+        self.steps.done
     }
 
     pub(crate) const fn late_steps(&self) -> u32 {
-        self.late_steps
+        self.steps.late
     }
 
     /// The largest lateness of a step of the script, if the robot reports it.
     pub(crate) fn late_max(&self) -> Option<Span> {
-        self.late_max.filter(|_| self.late_steps > 0)
+        self.steps.late_max.filter(|_| self.steps.late > 0)
     }
 
     /// The time of the first report that the robot holds the script, by the robot's clock.
     pub(crate) const fn accepted_at(&self) -> Option<Timestamp<Robot>> {
-        self.accepted_at
+        match self.acceptance {
+            Acceptance::At(at) => Some(at),
+            Acceptance::None | Acceptance::Implied => None,
+        }
     }
 
     /// The sending time of the latest question to which the robot answered that it holds the script.
@@ -266,7 +340,7 @@ impl Script {
     /// Whether another process may have sent the script, and its robot has not reported on it to this process.
     pub(crate) const fn is_unheard_since_taken_up(&self) -> bool {
         self.perhaps_sent
-            && !self.accepted
+            && !self.was_accepted()
             && matches!(self.state, ScriptState::Planned | ScriptState::Sent | ScriptState::Unknown)
     }
 
@@ -276,6 +350,15 @@ impl Script {
         let late = || error_of(response).code == ErrorCode::Late;
         let untold = matches!(self.state, ScriptState::Sent | ScriptState::Unknown);
         self.perhaps_sent && untold && response.status == Status::Failed && late()
+    }
+
+    /// Whether the robot refused the script, ended it early, or made an impossible statement about it.
+    pub(crate) const fn has_failed(&self) -> bool {
+        matches!(self.state, ScriptState::Ended(Ending::Failed(_) | Ending::Discredited(_)))
+    }
+
+    const fn is_discredited(&self) -> bool {
+        matches!(self.state, ScriptState::Ended(Ending::Discredited(_)))
     }
 
     pub(crate) const fn has_completed(&self) -> bool {
@@ -289,7 +372,7 @@ impl Script {
 
     /// Whether the robot has reported that the script moved its device.
     pub(crate) const fn has_started(&self) -> bool {
-        self.started_at.is_some() || self.began || self.steps_done > 0 || self.has_completed()
+        !matches!(self.start, Start::None) || self.steps.done > 0 || self.has_completed()
     }
 
     pub(super) fn name(&mut self, id: Option<RequestId>) {
@@ -309,30 +392,32 @@ impl Script {
     }
 
     pub(super) fn sent(&mut self, now: Timestamp<Server>) {
-        self.sent_here = true;
-        self.assume_sent(now);
+        self.is_sent(now, Sender::ThisProcess);
     }
 
     /// Treats the script as sent, because another process may have sent it.
     pub(super) fn assume_sent(&mut self, now: Timestamp<Server>) {
+        self.is_sent(now, self.sent.map_or(Sender::Another, |sent| sent.by));
+    }
+
+    fn is_sent(&mut self, now: Timestamp<Server>, by: Sender) {
         self.state = ScriptState::Sent;
-        self.sent_at = Some(now);
-        self.first_sent_at.get_or_insert(now);
+        self.sent = Some(Sent { first: self.first_sent_at().unwrap_or(now), last: now, by });
     }
 
     /// Whether the robot owes this process an answer to the script's request. Answers to another process went to that process.
     pub(super) const fn awaits_answer(&self) -> bool {
-        self.sent_here && matches!(self.state, ScriptState::Sent)
+        matches!((&self.state, self.sent), (ScriptState::Sent, Some(Sent { by: Sender::ThisProcess, .. })))
     }
 
     /// Whether the script was sent, or another process may have sent it.
     pub(super) const fn was_ever_sent(&self) -> bool {
-        self.first_sent_at.is_some() || self.perhaps_sent
+        self.sent.is_some() || self.perhaps_sent
     }
 
     /// Whether the script was sent for the first time at or after an instant.
     pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
-        self.first_sent_at.is_some_and(|at| at >= since)
+        self.sent.is_some_and(|sent| sent.first >= since)
     }
 
     /// Marks the fate of the script as unknown: its time has passed on a robot that does not report. The script is considered ended.
@@ -369,11 +454,15 @@ impl Script {
     /// Notes an impossible statement of the robot. All further statements about the script are ignored. Its start becomes unknown,
     /// because either of two contradictory statements may be true.
     pub(super) fn discredit(&mut self, claim: &Claim, told: &Told) {
-        self.began |= told.says_that_it_moved() || self.started_at.is_some();
+        if self.start == Start::None && told.says_that_it_moved() {
+            self.start = Start::Unknown;
+        }
         if !self.is_final() {
-            (self.discredited, self.started_at) = (true, None);
+            if self.start != Start::None {
+                self.start = Start::Unknown;
+            }
             let error = ControlError::new(ErrorCode::Internal, claim.to_string());
-            self.state = ScriptState::Ended(Ending::Failed(error));
+            self.state = ScriptState::Ended(Ending::Discredited(error));
         }
     }
 
@@ -383,12 +472,10 @@ impl Script {
 
     /// Processes a response about the script. Responses may arrive in any order.
     pub(super) fn answered(&mut self, response: &ControlResponse) -> News {
-        if self.discredited {
+        if self.is_discredited() {
             return News::None;
         }
-        self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
-        self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
-        self.late_max = self.late_max.max(response.late_ms_max.map(Millis::span));
+        self.steps.count(response.steps_done, response.late_steps, response.late_ms_max);
         match &response.status {
             Status::Accepted => match response.content_hash.filter(|hash| *hash != self.content_hash) {
                 Some(_) => self.fail(foreign()),
@@ -410,12 +497,10 @@ impl Script {
         said_at: Timestamp<Robot>,
     ) -> News {
         self.reported_at = self.reported_at.max(Some(asked_at));
-        if self.discredited {
+        if self.is_discredited() {
             return News::None;
         }
-        self.steps_done = self.steps_done.max(report.steps_done.unwrap_or(0));
-        self.late_steps = self.late_steps.max(report.late_steps.unwrap_or(0));
-        self.late_max = self.late_max.max(report.late_ms_max.map(Millis::span));
+        self.steps.count(report.steps_done, report.late_steps, report.late_ms_max);
         let foreign_content = report.content_hash.is_some_and(|hash| hash != self.content_hash);
         match report.state {
             RequestState::Held | RequestState::Running if foreign_content => self.fail(foreign()),
@@ -425,9 +510,7 @@ impl Script {
             }
             RequestState::Running => self.begin(report.event_timestamp),
             RequestState::Ended => {
-                if let Some(at) = report.event_timestamp {
-                    self.started_at.get_or_insert(at);
-                }
+                self.start = self.start.or(report.event_timestamp);
                 match &report.error {
                     None => self.complete(report.steps_done),
                     Some(error) => self.fail(error.clone()),
@@ -442,9 +525,9 @@ impl Script {
     /// overtaken the request.
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
-            ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
+            ScriptState::Sent if self.sent.is_none_or(|sent| sent.last < asked_at) => News::NeverReceived,
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
-                if self.accepted_at.is_none_or(|at| at < said_at) =>
+                if self.accepted_at().is_none_or(|at| at < said_at) =>
             {
                 self.lose()
             }
@@ -455,8 +538,8 @@ impl Script {
     /// Notes that the robot no longer knows the script. It is unknown how much of it the robot played.
     pub(super) fn lose(&mut self) -> News {
         self.state = ScriptState::Unknown;
-        self.lost |= self.accepted || self.perhaps_sent;
-        let message = if self.accepted {
+        self.lost |= self.was_accepted() || self.perhaps_sent;
+        let message = if self.was_accepted() {
             "the robot has lost the script, for example because it restarted"
         } else {
             "the robot does not have the script, and the script's start has passed"
@@ -465,8 +548,7 @@ impl Script {
     }
 
     fn accept(&mut self, said_at: Timestamp<Robot>) -> News {
-        self.accepted = true;
-        self.accepted_at.get_or_insert(said_at);
+        self.acceptance = Acceptance::At(self.accepted_at().unwrap_or(said_at));
         match self.state {
             ScriptState::Sent | ScriptState::Planned => {
                 self.state = ScriptState::Held;
@@ -478,9 +560,9 @@ impl Script {
 
     /// Notes that the script has begun. `started_at` is the time at which it began to move its device; `None` if it has not done so yet.
     fn begin(&mut self, started_at: Option<Timestamp<Robot>>) -> News {
-        self.accepted = true;
-        let starts = self.started_at.is_none() && started_at.is_some();
-        self.started_at = self.started_at.or(started_at);
+        self.acceptance = self.acceptance.implied();
+        let starts = self.started_at().is_none() && started_at.is_some();
+        self.start = self.start.or(started_at);
         if !self.is_final() {
             self.state = ScriptState::Running;
         }
@@ -491,8 +573,8 @@ impl Script {
         if self.is_final() {
             return News::None;
         }
-        self.accepted = true;
-        self.steps_done = self.steps_done.max(steps_done.unwrap_or(self.steps_planned()));
+        self.acceptance = self.acceptance.implied();
+        self.steps.done = self.steps.done.max(steps_done.unwrap_or(self.steps_planned()));
         self.state = ScriptState::Ended(Ending::Completed);
         News::Completed
     }

@@ -4,7 +4,7 @@ use urrcp::{ControlError, ErrorCode, Server, Timestamp};
 
 use super::failure_kind::FailureKind;
 use super::robot_state::RobotState;
-use super::{Mission, Phase};
+use super::{Mission, Phase, RobotIndex};
 
 /// The owner of a robot, as far as the mission knows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,7 +24,7 @@ pub(crate) enum Ownership {
 impl Mission {
     /// Handles a refusal of a robot that belongs to another session. Returns whether the mission is to take the robot over: the robot
     /// must have proven its identity, and must not have belonged to this mission before.
-    pub(super) fn is_to_be_seized(&mut self, robot: usize, error: &ControlError) -> bool {
+    pub(super) fn is_to_be_seized(&mut self, robot: RobotIndex, error: &ControlError) -> bool {
         let greeting = matches!(self.phase, Phase::Greeting { .. });
         let state = &mut self.robots[robot];
         let is_to_be = self.options.seize
@@ -49,7 +49,7 @@ impl Mission {
             self.leave_to_others();
             return false;
         }
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if self.robots[robot].is_of_another() {
                 let state = &mut self.robots[robot];
                 state.ownership = Ownership::Seizing;
@@ -63,7 +63,7 @@ impl Mission {
 
     /// Fails the robots that belong to other sessions, because the mission does not take them over.
     pub(super) fn leave_to_others(&mut self) {
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             let ownership = &mut self.robots[robot].ownership;
             if let Ownership::OfAnother(error) = ownership {
                 let error = error.clone();
@@ -74,7 +74,7 @@ impl Mission {
     }
 
     /// Notes that a robot belongs to this mission. Its readings from before the takeover are discarded.
-    pub(super) fn is_ours(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn is_ours(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
         match state.ownership {
             Ownership::Seizing => {
@@ -92,12 +92,12 @@ impl Mission {
     }
 
     /// Whether a robot that was taken over is still moving to where the first keyframe expects it.
-    pub(super) fn is_on_its_way(&self, robot: usize) -> bool {
+    pub(super) fn is_on_its_way(&self, robot: RobotIndex) -> bool {
         self.robots[robot].ownership == Ownership::Seized && !self.misplaced(robot).is_empty()
     }
 
     /// Reads the positions of a robot again that was taken over and is still moving.
-    pub(super) fn follow_on_its_way(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn follow_on_its_way(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.robots[robot].has_shown_its_pose() && self.is_on_its_way(robot) {
             self.robots[robot].forget_positions();
             self.read_positions(now, robot);

@@ -6,10 +6,10 @@ use downbeat_plan::Plan;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, RobotId, Span, Timestamp};
 
-use super::ClockMode;
 use super::act::Member;
 use super::failure_kind::FailureKind;
-use super::robot_state::{RobotState, Standing};
+use super::robot_state::{RobotState, Robots, Standing};
+use super::{ClockMode, RobotIndex};
 
 /// The predicted spread of starts with its components.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -103,7 +103,7 @@ impl SkewBudget {
     /// The skew budget of these robots of an act; `None` while the clock of one of them is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,
-        robots: &[RobotState],
+        robots: &Robots,
         tolerance: Span,
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
@@ -114,12 +114,12 @@ impl SkewBudget {
     /// robot.
     pub(crate) fn of_planned(
         plan: &Plan,
-        index_of: &[Option<usize>],
-        robots: &[RobotState],
+        index_of: &[Option<RobotIndex>],
+        robots: &Robots,
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
         let planned = plan.robots.iter().zip(index_of);
-        let planned = planned.filter_map(|(planned, index)| Some((planned, robots.get((*index)?)?)));
+        let planned = planned.filter_map(|(planned, index)| Some((planned, &robots[(*index)?])));
         let present = planned.filter(|(_, robot)| robot.standing == Standing::In);
         let skews = present.map(|(planned, robot)| {
             let devices = planned.scripts.iter().map(|script| &script.device);
@@ -132,7 +132,7 @@ impl SkewBudget {
     /// robot's time are made now.
     pub(crate) fn ahead<'a>(
         members: impl Iterator<Item = &'a Member>,
-        robots: &[RobotState],
+        robots: &Robots,
         tolerance: Span,
         (now, start): (Timestamp<urrcp::Server>, Timestamp<urrcp::Server>),
     ) -> Option<Self> {
@@ -145,7 +145,7 @@ impl SkewBudget {
     /// then.
     pub(crate) fn of_sent<'a>(
         members: impl Iterator<Item = &'a Member>,
-        robots: &[RobotState],
+        robots: &Robots,
         tolerance: Span,
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
@@ -154,7 +154,7 @@ impl SkewBudget {
 
     fn with<'a>(
         members: impl Iterator<Item = &'a Member>,
-        robots: &[RobotState],
+        robots: &Robots,
         tolerance: Span,
         at: Timestamp<urrcp::Server>,
         strayed: impl Fn(&Member, Span) -> Span,
@@ -267,7 +267,7 @@ mod tests {
     use downbeat_fleet::fleet::{DeviceLatency, LatencySource};
 
     use super::*;
-    use crate::bench::{self, Tells, at, ms};
+    use crate::bench::{self, R0, R1, Tells, at, ms};
     use crate::clock::ClockSample;
 
     #[test]
@@ -277,7 +277,8 @@ mod tests {
         for (first, second, off) in
             [(-1, 1_800, "r1"), (1_800, -1, "r0"), (-1_800, 1, "r0"), (1, -1_800, "r1")]
         {
-            let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+            let mut robots =
+                Robots::from_iter(["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2)));
             for (robot, ahead) in robots.iter_mut().zip([first, second]) {
                 let instant = at(10 + ahead).assume_clock();
                 robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
@@ -285,7 +286,7 @@ mod tests {
             let members = crate::act::members(&choreography.acts[0].plan, &robots);
             let budget = SkewBudget::of(members.iter(), &robots, ms(60), at(11)).unwrap();
             let plan = &choreography.acts[0].plan;
-            let planned = SkewBudget::of_planned(plan, &[Some(0), Some(1)], &robots, at(11));
+            let planned = SkewBudget::of_planned(plan, &[Some(R0), Some(R1)], &robots, at(11));
             let ranges = |budget: &SkewBudget| (budget.predicted, budget.clocks, budget.robots.clone());
             assert_eq!(planned.as_ref().map(ranges), Some(ranges(&budget)), "before anything is sent");
             let offenders: Vec<_> = budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect();
@@ -298,7 +299,8 @@ mod tests {
         let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
         let choreography = bench::played(&scripts);
         for (second, third) in [(20, -60), (-20, 60)] {
-            let mut robots = ["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2));
+            let mut robots =
+                Robots::from_iter(["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2)));
             for (robot, ahead) in robots.iter_mut().zip([0, second, third]) {
                 let instant = at(10 + ahead).assume_clock();
                 robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
@@ -321,12 +323,12 @@ mod tests {
     fn varying_latency_widens_the_budget_and_is_reported_apart_from_clocks() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
-        let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+        let mut robots = Robots::from_iter(["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2)));
         for robot in &mut robots {
             let instant = at(10).assume_clock();
             robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
         }
-        let budget = |robots: &[RobotState; 2], tolerance| {
+        let budget = |robots: &Robots, tolerance| {
             let members = crate::act::members(&choreography.acts[0].plan, robots);
             SkewBudget::of(members.iter(), robots, tolerance, at(11)).unwrap()
         };
@@ -335,13 +337,13 @@ mod tests {
         for (device, spread) in [("a", 20), ("other", 500)] {
             let latency = urrcp::Latency { median: ms(40), spread: ms(spread) };
             let latency = DeviceLatency { latency, from: LatencySource::File, lag: None };
-            robots[1].settings.latencies.insert(device.parse().unwrap(), latency);
+            robots[R1].settings.latencies.insert(device.parse().unwrap(), latency);
         }
         let wide = budget(&robots, ms(60));
         assert_eq!((wide.clocks, wide.predicted), (plain.predicted, plain.predicted + ms(40)));
         assert!(wide.fits() && wide.parts().contains("from the clocks alone"), "{wide:?}");
         // The limits of the commands are unchanged.
-        let late = |budget: &SkewBudget| budget.late_of(&robots[1].id);
+        let late = |budget: &SkewBudget| budget.late_of(&robots[R1].id);
         assert_eq!(late(&wide), late(&plain));
         let tight = budget(&robots, ms(30));
         let offenders = tight.offenders();
@@ -355,12 +357,12 @@ mod tests {
     fn budget_for_a_later_start_includes_clock_drift_until_then() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
-        let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+        let mut robots = Robots::from_iter(["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2)));
         for robot in &mut robots {
             let instant = at(10).assume_clock();
             robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
         }
-        robots[1].settings.clock = ClockMode::Measured;
+        robots[R1].settings.clock = ClockMode::Measured;
         let members = crate::act::members(&choreography.acts[0].plan, &robots);
         let budget = |start| SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), start)).unwrap();
         let (now, later) = (budget(at(11)), budget(at(2_011)));
@@ -371,7 +373,7 @@ mod tests {
     }
 
     /// Robots `r0`, `r1` and so on, whose clocks are ahead by `offsets` in milliseconds.
-    fn ahead_by(offsets: &[i64]) -> Vec<RobotState> {
+    fn ahead_by(offsets: &[i64]) -> Robots {
         let robot = |(index, ahead): (usize, &i64)| {
             let mut robot = bench::robot(&format!("r{index}"), Tells::Everything, 2);
             let instant = at(10 + ahead).assume_clock();
@@ -381,7 +383,7 @@ mod tests {
         offsets.iter().enumerate().map(robot).collect()
     }
 
-    fn budget(robots: &[RobotState]) -> SkewBudget {
+    fn budget(robots: &Robots) -> SkewBudget {
         let scripts: Vec<&[bench::Planned]> = vec![&[("a", 0, 400)]; robots.len()];
         let choreography = bench::played(&scripts);
         let members = crate::act::members(&choreography.acts[0].plan, robots);
@@ -391,10 +393,10 @@ mod tests {
     #[test]
     fn lone_robot_spreads_by_its_wake_up_and_its_latency_spread_both_ways() {
         let mut robots = ahead_by(&[30]);
-        robots[0].settings.wake_up = ms(5);
+        robots[R0].settings.wake_up = ms(5);
         let latency = urrcp::Latency { median: ms(40), spread: ms(20) };
         let latency = DeviceLatency { latency, from: LatencySource::File, lag: None };
-        robots[0].settings.latencies.insert("a".parse().unwrap(), latency);
+        robots[R0].settings.latencies.insert("a".parse().unwrap(), latency);
         let alone = budget(&robots);
         assert_eq!((alone.clocks, alone.predicted), (ms(5), ms(45)));
     }
@@ -402,7 +404,7 @@ mod tests {
     #[test]
     fn clock_ahead_starts_its_robot_early_and_late_wake_up_starts_it_late() {
         let mut robots = ahead_by(&[30, -10]);
-        robots[1].settings.wake_up = ms(5);
+        robots[R1].settings.wake_up = ms(5);
         let budget = budget(&robots);
         let [ahead, behind] = budget.robots.as_slice() else { panic!("{budget:?}") };
         assert!((ahead.offset - ms(30)).abs() < Span::from_micros(1), "{ahead:?}");
@@ -415,7 +417,7 @@ mod tests {
             (of("r0"), of("r1"), of("r2")),
             (Some((early, Span::ZERO)), Some((Span::ZERO, late)), None)
         );
-        assert_eq!(budget.late_of(&robots[0].id), Some(ahead.uncertainty - ahead.offset), "surely early");
+        assert_eq!(budget.late_of(&robots[R0].id), Some(ahead.uncertainty - ahead.offset), "surely early");
         let earlier =
             |by| budget.earlier_than(by).into_iter().map(|(id, _)| id.to_string()).collect::<Vec<_>>();
         assert_eq!(earlier(early), Vec::<String>::new());
@@ -433,7 +435,7 @@ mod tests {
     #[test]
     fn only_later_clock_drift_affects_translated_requests() {
         let mut robots = ahead_by(&[30, 30]);
-        robots[1].settings.clock = ClockMode::Measured;
+        robots[R1].settings.clock = ClockMode::Measured;
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);
         let members = crate::act::members(&choreography.acts[0].plan, &robots);
@@ -453,7 +455,8 @@ mod tests {
     fn outlier_clock_among_three_robots_is_named_whichever_is_right() {
         let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
         let choreography = bench::played(&scripts);
-        let mut robots = ["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2));
+        let mut robots =
+            Robots::from_iter(["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2)));
         for (robot, ahead) in robots.iter_mut().zip([1_800, 1, 1_800]) {
             let instant = at(10 + ahead).assume_clock();
             robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));

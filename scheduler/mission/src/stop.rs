@@ -1,7 +1,5 @@
 //! Stops robots: every device to which anything was sent gets an empty script and comes to rest.
 
-use std::collections::HashMap;
-
 use downbeat_plan::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
@@ -9,7 +7,7 @@ use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{Link, Rest, RobotState, SentStop, Standing, Stop};
-use super::{Greeting, Mission, Outcome, Phase, Progress, StoppedBy};
+use super::{ActIndex, Greeting, Mission, Outcome, Phase, Progress, RobotIndex, StoppedBy};
 
 /// Unconfirmed stops are repeated after this time or three round trips, whichever is longer.
 const STOP_AGAIN: Span = Span::from_millis(200);
@@ -41,7 +39,7 @@ impl Mission {
     /// Applies the operator's latest request: robots at rest are sent home, and robots that move home come to rest.
     fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
         let other: Vec<_> =
-            (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
+            self.robots.indices().filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
         if other.is_empty() && !self.wants_home() {
             return;
         }
@@ -52,7 +50,7 @@ impl Mission {
         }
         self.phase = self.stopping_from(now, StoppedBy::Operator);
         for robot in other {
-            self.robots[robot].stop = Stop::None;
+            self.robots[robot].set_stop(Stop::None);
             self.stop_robot(now, robot, rest);
         }
         let by = self.said_stop.clone();
@@ -94,7 +92,7 @@ impl Mission {
         now: Timestamp<Server>,
         outcome: Outcome,
         rest: Rest,
-        then: Option<usize>,
+        then: Option<ActIndex>,
     ) {
         let reason = outcome.hold_up().unwrap_or_else(|| outcome.to_string());
         self.abort_because(now, (outcome, reason), rest, then);
@@ -106,7 +104,7 @@ impl Mission {
         now: Timestamp<Server>,
         (outcome, reason): (Outcome, String),
         rest: Rest,
-        then: Option<usize>,
+        then: Option<ActIndex>,
     ) {
         let rest = self.rest_first(rest);
         let reason = self.with_home(reason);
@@ -120,14 +118,14 @@ impl Mission {
         self.deferred.clear();
         let by = if outcome == Outcome::Stopped { StoppedBy::Operator } else { StoppedBy::Failure };
         self.phase = self.stopping_from(now, by);
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing. It is therefore sent first and recorded afterwards.
         let by = self.said_stop.clone();
         self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
         self.outcome = Some(outcome);
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
                 self.reconnect(robot);
             }
@@ -136,7 +134,7 @@ impl Mission {
     }
 
     /// Stops all devices of a robot to which anything was sent, ahead of all waiting messages.
-    pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: usize, rest: Rest) {
+    pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: RobotIndex, rest: Rest) {
         let state = &mut self.robots[robot];
         // A robot at rest holds nothing that a stop would end, but it moves home if the operator requests it.
         let needless = if rest == Rest::Home { state.touched.is_empty() } else { state.holds_nothing() };
@@ -150,19 +148,20 @@ impl Mission {
             let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
             Some((id.ok()?, device.clone()))
         };
-        let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None, given_up: false });
+        let stops: Vec<_> = state.touched.iter().enumerate().filter_map(named).collect();
         self.end_leases(now, robot);
-        self.robots[robot].stop = stop;
-        self.robots[robot].at_rest = false;
-        self.robots[robot].rest_reported = false;
+        let state = &mut self.robots[robot];
+        state.set_stop(Stop::Sent(SentStop { at: now, rest, taken_over: None, given_up: false }));
+        stops.into_iter().for_each(|(id, device)| state.requests.add_stop(id, device));
+        state.at_rest = false;
+        state.rest_reported = false;
         self.send_stops(now, robot);
     }
 
     /// Ahead of the stops, sends questions that make the leases of all uncommitted scripts end before their start. The stop of one device
     /// renews the leases of the robot's other devices. If this process dies between two stops, those devices must not start uncommitted
     /// scripts.
-    pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
             return;
@@ -174,7 +173,7 @@ impl Mission {
         }
     }
 
-    fn send_stops(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn send_stops(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let Stop::Sent(sent) = &state.stop else { return };
         let stopped_at = self.stopped_at.unwrap_or(now);
@@ -188,7 +187,7 @@ impl Mission {
             Message::ControlRequest(request)
         };
         let mut requests: Vec<_> =
-            sent.unconfirmed.iter().map(|stop| (stop.0.as_str(), request(stop))).collect();
+            state.requests.stops().map(|stop| (stop.0.as_str(), request(stop))).collect();
         requests.sort_by(|a, b| a.0.cmp(b.0));
         let requests: Vec<_> = requests.into_iter().map(|(_, request)| request).collect();
         requests.into_iter().for_each(|request| self.post_urgently(now, robot, request));
@@ -200,7 +199,7 @@ impl Mission {
         if let Phase::Stopping { resend, .. } = &mut self.phase {
             *resend = now + interval;
         }
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if self.takes_stops(now, robot) {
                 self.repeat_stop(now, robot);
             }
@@ -214,19 +213,19 @@ impl Mission {
 
     /// Repeats the stop on a new link to a robot. If a new process of the robot has confirmed the stop in place of an earlier one, the
     /// earlier process may answer now.
-    pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
         let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
         match state.stop {
             Stop::Confirmed(rest) if doubted => {
-                state.stop = Stop::None;
+                state.set_stop(Stop::None);
                 self.stop_robot(now, robot, rest);
             }
             _ => self.repeat_stop(now, robot),
         }
     }
 
-    pub(super) fn repeat_stop(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn repeat_stop(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.robots[robot].awaits_stop() {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
@@ -237,7 +236,7 @@ impl Mission {
     }
 
     /// Whether a robot has not reported the fate of one of its scripts, and will report it if asked.
-    pub(super) fn owes_a_fate(&self, robot: usize) -> bool {
+    pub(super) fn owes_a_fate(&self, robot: RobotIndex) -> bool {
         let state = &self.robots[robot];
         let out = |act: &Act| {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
@@ -261,7 +260,7 @@ impl Mission {
             return;
         }
         let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_left_to_others());
-        let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
+        let known = all && !self.robots.indices().any(|robot| self.owes_a_fate(robot));
         if known {
             if self.poses_are_known(now) {
                 self.stopped(now);
@@ -269,7 +268,7 @@ impl Mission {
         } else if all {
             // A robot that still does not know the fate of a script is asked again after an interval, not at each answer.
             let lately = now - self.stop_interval();
-            for robot in 0..self.robots.len() {
+            for robot in self.robots.indices() {
                 let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
                 if self.owes_a_fate(robot) && !asked {
                     self.inquire_now(now, robot);
@@ -308,7 +307,7 @@ impl Mission {
         match self.then.take().filter(|_| rests) {
             Some(act) => {
                 self.continue_after_stop();
-                self.go_way(now, Way::Act(act));
+                self.go_way(now, Way::Act(act.get()));
                 self.goes_on(now);
             }
             None => self.end(),
@@ -321,7 +320,7 @@ impl Mission {
         }
         self.phase = Phase::Performing;
         // While the mission stops, it does not reconnect to a robot that has confirmed its stop.
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             let state = &self.robots[robot];
             match state.standing {
                 Standing::Out => {}
@@ -336,7 +335,7 @@ impl Mission {
 
     /// Reports why robots that have not confirmed their stop could not be reached, if that has not been reported.
     fn tell_unreached(&mut self) {
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             let state = &self.robots[robot];
             let told = state.failures.iter().any(|failure| {
                 matches!(
@@ -357,7 +356,7 @@ impl Mission {
     /// Confirms the stops of robots that have lost scripts. Other processes may run these scripts, so this waits until the scripts'
     /// leases have ended.
     pub(super) fn other_processes_rest(&mut self, now: Timestamp<Server>) {
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if self.phase == Phase::Ended {
                 return;
             }
@@ -371,7 +370,7 @@ impl Mission {
 
     /// Reports the stop of a robot if all devices have confirmed it. If the robot has not reported the fate of a script, the
     /// mission asks first, because another process may have confirmed the stop.
-    pub(super) fn stop_confirmed(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn stop_confirmed(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if matches!(self.robots[robot].stop, Stop::Confirmed(_))
             && self.owes_a_fate(robot)
             && self.robots[robot].questions.last_unanswered().is_none()
@@ -382,7 +381,7 @@ impl Mission {
     }
 
     /// Reports that a robot has confirmed its stop, unless it still has to report the fate of a script.
-    pub(super) fn report_rest(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn report_rest(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         if self.may_report_rest(robot) && !self.owes_a_fate(robot) {
             self.tell_at_rest(robot);
             // The next act may have waited for the confirmation.
@@ -390,21 +389,21 @@ impl Mission {
         }
     }
 
-    fn may_report_rest(&self, robot: usize) -> bool {
+    fn may_report_rest(&self, robot: RobotIndex) -> bool {
         let state = &self.robots[robot];
         matches!(state.stop, Stop::Confirmed(_)) && state.is_settled() && !state.rest_reported
     }
 
     /// Reports the robots that have confirmed their stop, even if they have not reported the fate of their scripts.
     pub(super) fn report_all_at_rest(&mut self) {
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             if self.may_report_rest(robot) {
                 self.tell_at_rest(robot);
             }
         }
     }
 
-    fn tell_at_rest(&mut self, index: usize) {
+    fn tell_at_rest(&mut self, index: RobotIndex) {
         self.robots[index].rest_reported = true;
         self.tell_steps(index);
         let robot = self.robots[index].id.clone();

@@ -21,7 +21,9 @@ use urrcp::{DeviceId, ErrorCode, RequestId, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
-use super::bench::{Planned, TOLERANCE, Tells, at, by_robot, choreography, device_script, ms, robot};
+use super::bench::{
+    Planned, R0, R1, R2, TOLERANCE, Tells, at, by_robot, choreography, device_script, ms, robot,
+};
 use super::preflight::{Check, Verdict};
 use super::robot_state::{Standing, Stop};
 use super::script::ScriptRef;
@@ -59,7 +61,7 @@ fn answers(mission: &mut Mission, act: Option<&str>, expected: Result<&str, &str
 fn go_applies_to_the_waiting_act_and_is_otherwise_refused_with_a_reason() {
     let mut mission = waits_in(0);
     answers(&mut mission, None, Err("the fleet is still being checked"));
-    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: R0 });
     answers(&mut mission, Some("three"), Err("unknown act `three`"));
     answers(&mut mission, Some("two"), Err("`two` is not waiting; `one` waits for the operator's go"));
     answers(&mut mission, Some("one"), Ok("one"));
@@ -110,14 +112,14 @@ fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<A
 fn robot_without_inquiries_is_resent_waiting_scripts_on_reconnection() {
     for (tells, again) in [(Tells::Reports, true), (Everything, false)] {
         let mut mission = begins_at_once(tells);
-        let first = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+        let first = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: R0 }));
         assert_eq!(first.len(), 1);
-        let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+        let down = Event::LinkDown { robot: R0, loss: Loss::Closed, reason: "it broke".to_owned() };
         let _reconnects = happens(&mut mission, at(2), down);
-        let actions = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
+        let actions = happens(&mut mission, at(4), Event::LinkUp { robot: R0 });
         let expected = if again { first } else { Vec::new() };
         assert_eq!(scripts_in(&actions), expected, "{tells:?}");
-        let totals = mission.robots[0].totals;
+        let totals = mission.robots[R0].totals;
         assert_eq!((totals.reconnects, totals.retries), (1, u32::from(again)), "{tells:?}");
     }
 }
@@ -125,15 +127,15 @@ fn robot_without_inquiries_is_resent_waiting_scripts_on_reconnection() {
 #[test]
 fn stops_are_sent_only_on_an_identified_link_of_the_intended_robot() {
     let mut mission = begins_at_once(Everything);
-    assert!(!mission.takes_stops(at(0), 0), "there is no link");
-    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
-    assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
+    assert!(!mission.takes_stops(at(0), R0), "there is no link");
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: R0 });
+    assert!(mission.takes_stops(at(0), R0), "the link of the robot itself");
 }
 
 /// A mission, the act that it has sent (already removed from it), and the act's report.
 fn sent_act() -> (Mission, Act, ActReport) {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     let act = mission.acts.remove(0);
     let report = ActReport::new(&act, &mission.robots).unwrap();
     (mission, act, report)
@@ -166,11 +168,11 @@ fn reports_are_kept_up_to_twenty_thousand_rows() {
 #[test]
 fn stopped_robot_with_waiting_script_rests_when_its_pending_lease_ends() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
-    let member = &act.members()[0];
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
+    let member = &act.members()[MemberIndex::new(0)];
     let lease = act.timing().unwrap().lead.lease;
-    let left = act.left_behind(member, 0, &mission.robots[0], at(1));
-    assert_eq!(left, Some(Some(mission.robots[0].last_sent.unwrap() + lease)));
+    let left = act.left_behind(member, 0, &mission.robots[R0], at(1));
+    assert_eq!(left, Some(Some(mission.robots[R0].last_sent.unwrap() + lease)));
 }
 
 #[test]
@@ -178,7 +180,7 @@ fn act_is_sent_later_than_the_preceding_stop() {
     for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
         let mut mission = begins_at_once(Everything);
         mission.stopped_at = stopped;
-        let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let actions = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         let script = |action: &Action| match action {
             Action::Send { message: Message::ControlRequest(request), .. } => request.timestamp,
             _ => None,
@@ -197,8 +199,8 @@ fn required_sensor_passes_once_read_and_only_if_robots_are_greeted() {
     ] {
         let mut mission = begins_at_once(Everything);
         let range = SensorRange::Above(50.0);
-        mission.robots[0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
-        mission.robots[0].readings = readings;
+        mission.robots[R0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        mission.robots[R0].readings = readings;
         mission.options.greeting = greeting;
         let table = preflight::table(&mission, at(0));
         let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
@@ -210,11 +212,11 @@ fn required_sensor_passes_once_read_and_only_if_robots_are_greeted() {
 /// A mission in the phase `Performing` whose link broke and was re-established. On each new link, the mission asks which robot answers.
 fn reconnected() -> Mission {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     mission.options.greeting = Greeting::Full;
-    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    let down = Event::LinkDown { robot: R0, loss: Loss::Closed, reason: "it broke".to_owned() };
     let _reconnects = happens(&mut mission, at(2), down);
-    let _asks = mission.handle(at(4), Event::LinkUp { robot: 0 });
+    let _asks = mission.handle(at(4), Event::LinkUp { robot: R0 });
     mission
 }
 
@@ -222,7 +224,7 @@ fn reconnected() -> Mission {
 fn unidentified_robot_is_asked_again_before_its_link_is_dropped() {
     let mut mission = reconnected();
     mission.ask_names_again(at(300));
-    assert!(mission.robots[0].unnamed_since().is_some(), "it may still answer");
+    assert!(mission.robots[R0].unnamed_since().is_some(), "it may still answer");
     assert!(
         mission
             .actions
@@ -230,7 +232,7 @@ fn unidentified_robot_is_asked_again_before_its_link_is_dropped() {
             .any(|action| matches!(action, Action::Send { message: Message::InitializationRequest(_), .. }))
     );
     mission.ask_names_again(at(4_000));
-    assert!(mission.robots[0].unnamed_since().is_none(), "equivalent to unreached");
+    assert!(mission.robots[R0].unnamed_since().is_none(), "equivalent to unreached");
 }
 
 #[test]
@@ -238,9 +240,9 @@ fn another_robot_at_the_address_of_a_playing_one_stops_the_mission() {
     let mut mission = reconnected();
     let block = robot("another", Everything, 2).block.unwrap();
     let _actions =
-        mission.handle(at(5), Event::Received { robot: 0, message: Message::InitializationBlock(block) });
+        mission.handle(at(5), Event::Received { robot: R0, message: Message::InitializationBlock(block) });
     assert!(
-        mission.robots[0]
+        mission.robots[R0]
             .failures
             .iter()
             .any(|failure| matches!(failure.kind, FailureKind::AnotherRobot { .. }))
@@ -251,25 +253,25 @@ fn another_robot_at_the_address_of_a_playing_one_stops_the_mission() {
 #[test]
 fn robot_with_unanswered_measured_clock_fails_when_patience_ends() {
     let mut mission = begins_at_once(Everything);
-    mission.robots[0].settings.clock = ClockMode::Measured;
-    let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.robots[R0].settings.clock = ClockMode::Measured;
+    let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     let ends = mission.acts[0].since() + mission.options.patience;
     let _waits = mission.advance(ends - Span::from_nanos(1));
-    assert!(!mission.robots[0].has_failed());
+    assert!(!mission.robots[R0].has_failed());
     let _fails = mission.advance(ends);
-    assert!(mission.robots[0].has_failed());
+    assert!(mission.robots[R0].has_failed());
 }
 
 #[test]
 fn robot_that_was_sent_nothing_gets_no_stop_and_others_get_only_one() {
     let mut mission = begins_at_once(Everything);
-    mission.stop_robot(at(0), 0, Rest::InPlace);
-    assert!(!mission.robots[0].stop_was_sent() && mission.stopped_at.is_none());
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.stop_robot(at(1), 0, Rest::InPlace);
-    mission.stop_robot(at(2), 0, Rest::Home);
+    mission.stop_robot(at(0), R0, Rest::InPlace);
+    assert!(!mission.robots[R0].stop_was_sent() && mission.stopped_at.is_none());
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+    mission.stop_robot(at(1), R0, Rest::InPlace);
+    mission.stop_robot(at(2), R0, Rest::Home);
     assert!(
-        matches!(&mission.robots[0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
+        matches!(&mission.robots[R0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
     );
     assert_eq!(mission.stopped_at, Some(at(1)));
 }
@@ -278,9 +280,9 @@ fn robot_that_was_sent_nothing_gets_no_stop_and_others_get_only_one() {
 fn robot_owes_the_fate_of_its_sent_scripts_if_it_can_report_it() {
     for (tells, owes) in [(Everything, true), (Tells::Reports, true), (Tells::Nothing, false)] {
         let mut mission = begins_at_once(tells);
-        assert!(!mission.owes_a_fate(0), "{tells:?}: nothing was sent");
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-        assert_eq!(mission.owes_a_fate(0), owes, "{tells:?}");
+        assert!(!mission.owes_a_fate(R0), "{tells:?}: nothing was sent");
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+        assert_eq!(mission.owes_a_fate(R0), owes, "{tells:?}");
     }
 }
 
@@ -288,7 +290,7 @@ fn robot_owes_the_fate_of_its_sent_scripts_if_it_can_report_it() {
 fn act_reports_how_far_apart_its_starts_may_be() {
     let mut mission = greets_a_clock(0, 2);
     mission.options.greeting = Greeting::Skip;
-    let actions = happens(&mut mission, at(3), Event::LinkUp { robot: 0 });
+    let actions = happens(&mut mission, at(3), Event::LinkUp { robot: R0 });
     let skew = actions.iter().find_map(|action| match action {
         Action::Tell(Progress::Preparing { skew, .. }) => skew.as_ref(),
         _ => None,
@@ -301,11 +303,11 @@ fn act_reports_how_far_apart_its_starts_may_be() {
 #[test]
 fn stopping_mission_sends_no_pending_scripts() {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
     assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
-    let script = ScriptRef { act: 0, member: 0, script: 0 };
-    mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
+    let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
+    mission.carry_out(at(2), ActNumber::new(0), vec![ActAction::Send(script)]);
     assert_eq!(scripts_in(&mission.actions), []);
 }
 
@@ -313,13 +315,13 @@ fn stopping_mission_sends_no_pending_scripts() {
 fn robot_with_unconfirmed_stop_is_sent_no_script_of_the_next_act() {
     for (is_stopped, sends) in [(true, 0), (false, 1)] {
         let mut mission = begins_at_once(Everything);
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         if is_stopped {
-            mission.stop_robot(at(1), 0, Rest::InPlace);
+            mission.stop_robot(at(1), R0, Rest::InPlace);
         }
         mission.actions.clear();
-        let script = ScriptRef { act: 0, member: 0, script: 0 };
-        mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
+        let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
+        mission.carry_out(at(2), ActNumber::new(0), vec![ActAction::Send(script)]);
         assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
     }
 }
@@ -328,16 +330,16 @@ fn robot_with_unconfirmed_stop_is_sent_no_script_of_the_next_act() {
 fn deferred_script_is_not_sent_after_the_stop_of_its_robot() {
     for (is_stopped, sends) in [(true, 0), (false, 1)] {
         let mut mission = begins_at_once(Everything);
-        let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         let script = sent.into_iter().find_map(|action| match action {
             Action::Send { message: message @ Message::ControlRequest(_), .. } => Some(message),
             _ => None,
         });
         if is_stopped {
-            mission.stop_robot(at(1), 0, Rest::InPlace);
+            mission.stop_robot(at(1), R0, Rest::InPlace);
         }
         mission.actions.clear();
-        mission.deferred = vec![(0, script.unwrap())];
+        mission.deferred = vec![(R0, script.unwrap())];
         mission.send_deferred(at(2));
         assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
     }
@@ -360,11 +362,11 @@ fn one_after_the_other() -> Mission {
 #[test]
 fn act_with_no_robots_left_is_skipped() {
     let mut mission = one_after_the_other();
-    mission.robots[0].standing = Standing::Out;
+    mission.robots[R0].standing = Standing::Out;
     mission.options.check_invariants = false;
-    let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    let actions = happens(&mut mission, at(0), Event::LinkUp { robot: R1 });
     assert_eq!(scripts_in(&actions).len(), 1, "`r1` has its script of the second act");
-    assert_eq!(mission.fates[0].fate, ActFate::NobodyLeft);
+    assert_eq!(mission.fates[ActIndex::new(0)].fate, ActFate::NobodyLeft);
 }
 
 #[test]
@@ -398,7 +400,7 @@ fn greets_a_clock(offset: i64, delay: i64) -> Mission {
     mission.options.greeting = Greeting::Full;
     let (sent, received) = (at(0), at(delay));
     let by_robot = by_robot(at(delay / 2 + offset));
-    mission.robots[0].clock.add(ClockSample::from_exchange(sent, by_robot, by_robot, received));
+    mission.robots[R0].clock.add(ClockSample::from_exchange(sent, by_robot, by_robot, received));
     mission
 }
 
@@ -407,7 +409,7 @@ fn clock_is_refused_only_if_certainly_off() {
     for (offset, delay, refused) in [(8, 10, false), (12, 10, false), (18, 10, true)] {
         let mut mission = greets_a_clock(offset, delay);
         mission.check_clocks(at(delay));
-        assert_eq!(mission.robots[0].has_failed(), refused, "{offset} ms, known to {} ms", delay / 2);
+        assert_eq!(mission.robots[R0].has_failed(), refused, "{offset} ms, known to {} ms", delay / 2);
     }
 }
 
@@ -418,11 +420,11 @@ fn absent_robot_may_join_after_patience_ends_but_a_silent_one_fails() {
         mission.options.greeting = Greeting::Full;
         mission.options.join = Join::NextAct;
         if connected {
-            let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
-            mission.robots[0].named();
+            let _asks = mission.handle(at(0), Event::LinkUp { robot: R0 });
+            mission.robots[R0].named();
         }
         mission.greeting_overdue(at(0) + mission.options.patience);
-        let robot = &mission.robots[0];
+        let robot = &mission.robots[R0];
         assert!(
             robot.has_failed() == failed && (failed || robot.standing == standing),
             "connected: {connected}"
@@ -442,8 +444,8 @@ fn robot_is_ours_once_asked_on_its_link_for_a_session() {
         mission.options.greeting = greeting;
         mission.options.session = session.then(|| Session::named("s".parse().unwrap()));
         if up {
-            mission.robots[0].connected(at(0));
-            mission.robots[0].named();
+            mission.robots[R0].connected(at(0));
+            mission.robots[R0].named();
         }
         let table = preflight::table(&mission, at(0));
         let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Free).unwrap();
@@ -473,21 +475,21 @@ fn script_must_fit_the_limits_its_robot_declares() {
 #[test]
 fn resent_script_is_counted() {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.count_retry(ScriptRef { act: 0, member: 0, script: 0 });
-    assert_eq!(mission.robots[0].totals.retries, 1);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+    mission.count_retry(ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 });
+    assert_eq!(mission.robots[R0].totals.retries, 1);
 }
 
 #[test]
 fn start_without_id_belongs_to_a_held_script() {
     let mut mission = begins_at_once(Tells::Nothing);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     let device = "a".parse().unwrap();
     let accepted = Message::ControlResponse(super::bench::response(&device, None, Status::Accepted, at(1)));
-    let _noted = happens(&mut mission, at(1), Event::Received { robot: 0, message: accepted });
+    let _noted = happens(&mut mission, at(1), Event::Received { robot: R0, message: accepted });
     let started = super::bench::response(&device, None, Status::Started, at(2));
-    let found = requests::open_without_name(&mission.acts, (0, requests::Says::Answers), &device, &started);
-    assert_eq!(found, Some(ScriptRef { act: 0, member: 0, script: 0 }));
+    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::Answers), &device, &started);
+    assert_eq!(found, Some(ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 }));
 }
 
 #[test]
@@ -497,7 +499,7 @@ fn expired_lease_without_id_is_assigned_to_the_shortest_open_lease() {
         let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
         let choreography = Arc::new(choreography(&[scripts]));
         let mut mission = Mission::new(choreography, vec![participant], options, at(0)).unwrap();
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         mission
     };
     let device = "a".parse().unwrap();
@@ -505,14 +507,14 @@ fn expired_lease_without_id_is_assigned_to_the_shortest_open_lease() {
         error: super::bench::refusal(code),
         ..super::bench::response(&device, None, Status::Failed, at(2))
     };
-    let script = |script| ScriptRef { act: 0, member: 0, script };
+    let script = |script| ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
     // A script that waits behind another script of its act has the lease of that running script. Another act waits under a shorter one.
     let (mut before, mut behind) = (sent(&[("a", 0, 400), ("a", 500, 400)]), sent(&[("a", 0, 400)]));
     let mut acts = vec![before.acts.remove(0), behind.acts.remove(0)];
     let _over = acts[0].answered(script(0), &failed(ErrorCode::Cancelled), at(2), &before.robots);
     acts[0].sent(at(2), script(1));
     for (code, expected) in [(ErrorCode::Cancelled, 1), (ErrorCode::LinkLost, 0)] {
-        let says = (0, requests::Says::ByItself);
+        let says = (R0, requests::Says::ByItself);
         let found = requests::open_without_name(&acts, says, &device, &failed(code.clone()));
         assert_eq!(found, Some(script(expected)), "{code}");
     }
@@ -529,8 +531,8 @@ fn act_names_the_robot_that_requires_early_sending() {
 #[test]
 fn end_without_id_belongs_to_latest_begun_script_if_two_would_end_then() {
     let mut mission = begins_with(Tells::Reports, &[("a", 0, 400), ("a", 400, 0)]);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.acts[0].sent(at(1), ScriptRef { act: 0, member: 0, script: 1 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+    mission.acts[0].sent(at(1), ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 1 });
     let start = mission.acts[0].timing().unwrap().start;
     let device = "a".parse().unwrap();
     let says = |status, when: Timestamp<Server>| {
@@ -538,24 +540,24 @@ fn end_without_id_belongs_to_latest_begun_script_if_two_would_end_then() {
         urrcp::ControlResponse { timestamp: when.assume_clock(), ..said }
     };
     for (script, begins) in [(0, start), (1, start + ms(400))] {
-        let script = ScriptRef { act: 0, member: 0, script };
+        let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
         for (status, when) in [(Status::Accepted, at(2)), (Status::Started, begins)] {
             let _noted = mission.acts[0].answered(script, &says(status, when), when, &mission.robots);
         }
     }
     let ended = says(Status::Ok, start + ms(400));
-    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &ended);
-    let last = ScriptRef { act: 0, member: 0, script: 1 };
+    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::ByItself), &device, &ended);
+    let last = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 1 };
     assert_eq!(found, Some(last), "the end of what began before it was not heard");
     let again = says(Status::Started, start + ms(400));
-    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &again);
+    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::ByItself), &device, &again);
     assert_eq!(found, None, "neither came again");
 }
 
 #[test]
 fn next_round_is_later_than_the_one_just_done() {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     mission.next_round = Some(at(5));
     mission.renew_if_due(at(5));
     assert!(mission.next_round > Some(at(5)), "{:?}", mission.next_round);
@@ -565,11 +567,11 @@ fn next_round_is_later_than_the_one_just_done() {
 fn robot_without_inquiries_owes_nothing_once_it_responds_after_its_stop() {
     for (answered, owes) in [(0, true), (1, true), (2, false)] {
         let mut mission = begins_at_once(Tells::Reports);
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         mission.stopped_at = Some(at(1));
-        mission.robots[0].questions.asked(at(answered));
-        mission.robots[0].questions.answer(at(answered));
-        assert_eq!(mission.owes_a_fate(0), owes, "answered {answered} ms after the beginning");
+        mission.robots[R0].questions.asked(at(answered));
+        mission.robots[R0].questions.answer(at(answered));
+        assert_eq!(mission.owes_a_fate(R0), owes, "answered {answered} ms after the beginning");
     }
 }
 
@@ -580,7 +582,7 @@ fn stops_of_two_devices_follow_an_inquiry_that_ends_both_leases() {
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
     let scripts: &[&[super::bench::Planned]] = &[&[("a", 0, 400), ("b", 0, 400)]];
     let mut mission = Mission::new(Arc::new(choreography(scripts)), participants, options, at(0)).unwrap();
-    let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+    let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: R0 }));
     assert_eq!(sent.len(), 2);
     let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
     let kinds: Vec<&str> = actions
@@ -597,7 +599,7 @@ fn stops_of_two_devices_follow_an_inquiry_that_ends_both_leases() {
 #[test]
 fn first_round_is_not_due_immediately() {
     let mut mission = waits_in(0);
-    let _waits = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let _waits = mission.handle(at(0), Event::LinkUp { robot: R0 });
     mission.next_round = None;
     let before = mission.actions.len();
     mission.renew_if_due(at(1));
@@ -609,28 +611,28 @@ fn first_round_is_not_due_immediately() {
 #[test]
 fn queued_act_is_replaced_by_the_act_a_failure_leads_to() {
     let mut mission = waits_in(1);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.lead_elsewhere(0);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+    mission.lead_elsewhere(ActIndex::new(0));
     assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the current act continues");
-    mission.line_up_act(at(1), 1);
+    mission.line_up_act(at(1), ActIndex::new(1));
     assert_eq!((mission.acts.len(), mission.acts_begun), (2, 2));
-    mission.lead_elsewhere(0);
-    assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
+    mission.lead_elsewhere(ActIndex::new(0));
+    assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(ActIndex::new(0))));
 }
 
 /// The time at which the script of [`sent_act`] that its robot still has is ended by a lease.
 fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
-    act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
+    act.left_behind(&act.members()[MemberIndex::new(0)], 0, &mission.robots[R0], now)
 }
 
 #[test]
 fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     let timing = act.timing().unwrap();
     for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
         let last_sent = timing.start - timing.lead.lease - before;
-        mission.robots[0].last_sent = Some(last_sent);
+        mission.robots[R0].last_sent = Some(last_sent);
         assert_eq!(left_at(&mission, &act, at(1)), Some(Some(last_sent + ends_by)), "{before} before it");
     }
 }
@@ -638,17 +640,17 @@ fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
 #[test]
 fn running_script_ends_by_its_running_lease_from_the_last_message() {
     let (mut mission, mut act, _) = sent_act();
-    let script = ScriptRef { act: 0, member: 0, script: 0 };
+    let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
     let started = act.timing().unwrap().start;
     let says = super::bench::response(&"a".parse().unwrap(), None, Status::Started, started);
     let _noted = act.answered(script, &says, started, &mission.robots);
-    mission.robots[0].last_sent = Some(at(10));
+    mission.robots[R0].last_sent = Some(at(10));
     let ends = at(10) + super::bench::RUNNING;
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends)));
     let there = by_robot(at(3));
-    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
+    mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it has ended");
 }
 
@@ -658,20 +660,29 @@ fn robot_has_nothing_left_of_ended_or_unsent_scripts() {
     let end = act.timing().unwrap().end;
     assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
     assert_eq!(left_at(&mission, &act, end), None, "its time is over");
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert!(left_at(&mission, &act, end).is_some(), "nobody knows when it began");
     let failed = urrcp::ControlResponse {
         error: super::bench::refusal(ErrorCode::Cancelled),
         ..super::bench::response(&"a".parse().unwrap(), None, Status::Failed, at(1))
     };
-    let _noted = act.answered(ScriptRef { act: 0, member: 0, script: 0 }, &failed, at(1), &mission.robots);
+    let _noted = act.answered(
+        ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 },
+        &failed,
+        at(1),
+        &mission.robots,
+    );
     assert_eq!(left_at(&mission, &act, at(1)), None);
 
     let mut mission = begins_with(Everything, &[("a", 0, 400), ("a", 400, 400)]);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     let act = &mission.acts[0];
-    assert_eq!(act.left_behind(&act.members()[0], 1, &mission.robots[0], at(1)), None, "it waits to be sent");
+    assert_eq!(
+        act.left_behind(&act.members()[MemberIndex::new(0)], 1, &mission.robots[R0], at(1)),
+        None,
+        "it waits to be sent"
+    );
 }
 
 #[test]
@@ -682,8 +693,8 @@ fn failure_without_id_matches_accepted_script_only_if_robot_reports() {
     ] {
         let sent = |accepted: bool| {
             let mut mission = begins_at_once(tells);
-            let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-            let script = ScriptRef { act: 0, member: 0, script: 0 };
+            let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+            let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
             let said = super::bench::response(&"a".parse().unwrap(), None, Status::Accepted, at(1));
             if accepted {
                 let _noted = mission.acts[0].answered(script, &said, at(1), &mission.robots);
@@ -704,12 +715,12 @@ fn failure_without_id_matches_accepted_script_only_if_robot_reports() {
                 error: super::bench::refusal(ErrorCode::Cancelled).filter(|_| status == Status::Failed),
                 ..super::bench::response(&device, None, status.clone(), at(2))
             };
-            let found = requests::open_without_name(&mission.acts, (0, says), &device, &response);
+            let found = requests::open_without_name(&mission.acts, (R0, says), &device, &response);
             assert_eq!(found.map(|found| found.script), expected, "{tells:?}, {accepted}, {status:?}");
             let named = urrcp::ControlResponse { request_id: RequestId::new("n").ok(), ..response.clone() };
-            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &device, &named), None);
+            assert_eq!(requests::open_without_name(&mission.acts, (R0, says), &device, &named), None);
             let other = "b".parse().unwrap();
-            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &other, &response), None);
+            assert_eq!(requests::open_without_name(&mission.acts, (R0, says), &other, &response), None);
         }
     }
 }

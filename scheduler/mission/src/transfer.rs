@@ -6,16 +6,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use downbeat_plan::{Act as Written, Choreography, FirstUse, Positions, Way};
+use downbeat_plan::{Act as Written, Choreography, Positions, Way};
 use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::act::Act;
 use super::fates::ActCourse;
-use super::poses::first_uses;
+use super::poses::{FirstUses, first_uses};
 use super::robot_state::{Rest, RobotState, Standing, Stop};
 use super::script::Script;
-use super::{Mission, Outcome, Progress};
+use super::{ActIndex, Mission, Outcome, Progress, RobotIndex};
 
 /// The destination of an act that is planned after a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub enum Destination {
     /// The default positions of devices.
     Home,
     /// The first positions of the act with this index.
-    Act(usize),
+    Act(ActIndex),
 }
 
 /// Plans acts after a stop. A scheduler that has the fleet file uses the compiler for this.
@@ -37,7 +37,7 @@ pub trait PlanTransfer: fmt::Debug + Send + Sync {
         &self,
         choreography: &Choreography,
         to: Destination,
-        like: usize,
+        like: ActIndex,
         from: &Positions,
     ) -> Result<Option<Written>, String>;
 }
@@ -69,11 +69,11 @@ pub enum TransferReport {
 pub(super) struct Transfer {
     stage: Stage,
     /// For each robot: the first use of each device, starting with the next act, and the device's largest speed in the act of that use.
-    firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
+    firsts: FirstUses,
     /// The positions that each robot reported last, by its index in the mission.
-    poses: BTreeMap<usize, Pose>,
+    poses: BTreeMap<RobotIndex, Pose>,
     /// Indices of the robots that have done all their steps of the move home.
-    there: Vec<usize>,
+    there: Vec<RobotIndex>,
     pub(super) home: Option<TransferReport>,
     pub(super) approach: Option<TransferReport>,
 }
@@ -83,9 +83,9 @@ enum Stage {
     #[default]
     Unwanted,
     /// A transfer is requested, and the robots come to rest first. The planned act takes its settings from the act with the index `like`.
-    Wanted { to: Destination, like: usize },
+    Wanted { to: Destination, like: ActIndex },
     /// The move home is the act with this index.
-    GoingHome { act: usize },
+    GoingHome { act: ActIndex },
 }
 
 /// The positions that a robot reported last.
@@ -119,10 +119,10 @@ impl Mission {
     }
 
     /// Requests an approach (a move to the first positions of this act) after the stop, unless the robots go home first.
-    pub(super) fn approaches(&mut self, act: usize) {
+    pub(super) fn approaches(&mut self, act: ActIndex) {
         if self.transfer.stage == Stage::Unwanted && self.options.transfer.is_some() {
             self.transfer.stage = Stage::Wanted { to: Destination::Act(act), like: act };
-            let index_of = self.robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+            let index_of = self.robots.enumerated().map(|(index, robot)| (&robot.id, index)).collect();
             self.transfer.firsts = first_uses(&self.choreography, act, &index_of);
         }
     }
@@ -140,7 +140,7 @@ impl Mission {
         self.tell(match to {
             Destination::Home => Progress::NotHome { reason: reason.clone() },
             Destination::Act(act) => {
-                let act = self.choreography.acts[act].called().to_owned();
+                let act = self.choreography.acts[act.get()].called().to_owned();
                 Progress::NotApproached { act, reason: reason.clone() }
             }
         });
@@ -161,7 +161,7 @@ impl Mission {
     }
 
     /// Whether a robot at rest reports its positions for the transfer.
-    fn takes_part(&self, robot: usize) -> bool {
+    fn takes_part(&self, robot: RobotIndex) -> bool {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return false };
         let state = &self.robots[robot];
         let can = state.standing == Standing::In && state.takes_inquiries();
@@ -170,7 +170,7 @@ impl Mission {
     }
 
     /// The devices of a robot that the next act, or a later act that follows it, moves. Empty for the move home.
-    fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+    fn first_devices(&self, to: Destination, robot: RobotIndex) -> BTreeSet<DeviceId> {
         match to {
             Destination::Home => BTreeSet::new(),
             Destination::Act(_) => self.transfer.firsts[robot].keys().cloned().collect(),
@@ -178,7 +178,7 @@ impl Mission {
     }
 
     /// The devices of a robot that will not rest at a known position after the transfer.
-    fn left_adrift(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+    fn left_adrift(&self, to: Destination, robot: RobotIndex) -> BTreeSet<DeviceId> {
         let state = &self.robots[robot];
         if !self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests) {
             return &state.touched | &self.first_devices(to, robot);
@@ -193,7 +193,7 @@ impl Mission {
     /// A device slows down for some time after its robot has confirmed the stop.
     pub(super) fn poses_are_known(&mut self, now: Timestamp<Server>) -> bool {
         let mut known = true;
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             match self.transfer.poses.get(&robot) {
                 _ if !self.takes_part(robot) => {}
                 Some(pose) => known &= pose.rests,
@@ -209,7 +209,7 @@ impl Mission {
 
     /// Asks robots again if their positions are unknown or still change.
     pub(super) fn ask_poses_again(&mut self, now: Timestamp<Server>) {
-        let moving = |(robot, pose): (&usize, &Pose)| (!pose.rests).then_some(*robot);
+        let moving = |(robot, pose): (&RobotIndex, &Pose)| (!pose.rests).then_some(*robot);
         let moving: Vec<_> = self.transfer.poses.iter().filter_map(moving).collect();
         for robot in moving {
             if self.takes_part(robot) {
@@ -218,7 +218,7 @@ impl Mission {
         }
     }
 
-    fn ask_pose(&mut self, now: Timestamp<Server>, robot: usize) {
+    fn ask_pose(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         // The act also has to avoid collisions with devices that stay.
         let devices = self.devices_to_place(to, robot);
@@ -227,13 +227,13 @@ impl Mission {
     }
 
     /// The devices of a robot whose positions the transfer needs.
-    fn devices_to_place(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+    fn devices_to_place(&self, to: Destination, robot: RobotIndex) -> BTreeSet<DeviceId> {
         &self.robots[robot].touched | &self.first_devices(to, robot)
     }
 
     /// Handles an answer of a robot. The robot's positions are valid once it has reported all of them. A robot may also report positions
     /// of devices about which it was not asked; the transfer must not move these devices.
-    pub(super) fn pose_stated(&mut self, robot: usize) {
+    pub(super) fn pose_stated(&mut self, robot: RobotIndex) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         let devices = self.devices_to_place(to, robot);
         let state = &self.robots[robot];
@@ -258,7 +258,7 @@ impl Mission {
             return false;
         }
         let planned = self.plan_transfer(now, to, like);
-        for robot in 0..self.robots.len() {
+        for robot in self.robots.indices() {
             self.robots[robot].adrift = self.left_adrift(to, robot);
         }
         match planned {
@@ -290,7 +290,7 @@ impl Mission {
         &self,
         now: Timestamp<Server>,
         to: Destination,
-        like: usize,
+        like: ActIndex,
     ) -> Result<Option<Written>, String> {
         let Some(planner) = &self.options.transfer else { return Ok(None) };
         let moves = |robot: &&RobotState| robot.may_move_at(now);
@@ -316,21 +316,21 @@ impl Mission {
     }
 
     fn play_transfer(&mut self, now: Timestamp<Server>, to: Destination, mut act: Written) {
-        let index = self.choreography.acts.len();
-        act.next = self.then.take().map_or(Way::End, Way::Act);
-        let states = |robot: usize| self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests);
-        let has_part = |robot: usize| match to {
+        let index = ActIndex::new(self.choreography.acts.len());
+        act.next = self.then.take().map_or(Way::End, |act| Way::Act(act.get()));
+        let states = |robot: RobotIndex| self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests);
+        let has_part = |robot: RobotIndex| match to {
             Destination::Home => !self.robots[robot].touched.is_empty(),
             Destination::Act(_) => !self.first_devices(to, robot).is_empty(),
         };
-        let stay = (0..self.robots.len()).filter(|robot| has_part(*robot) && !states(*robot));
+        let stay = self.robots.indices().filter(|robot| has_part(*robot) && !states(*robot));
         let without = stay.map(|robot| self.robots[robot].id.clone()).collect();
         // If no act follows, the confirmed stop of a robot that has nothing to move remains valid.
         let goes = |robot: &RobotState| act.plan.robots.iter().any(|planned| planned.robot == robot.id);
         let rests = |robot: &RobotState| matches!(robot.stop, Stop::Confirmed(_)) && !goes(robot);
         let ends = act.next == Way::End;
         let rest: Vec<_> =
-            (0..self.robots.len()).filter(|robot| ends && rests(&self.robots[*robot])).collect();
+            self.robots.indices().filter(|robot| ends && rests(&self.robots[*robot])).collect();
         let name = act.name.clone();
         self.transfer.note(to, TransferReport::Planned { act: name.clone(), without });
         self.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
@@ -342,14 +342,14 @@ impl Mission {
                 Progress::GoingHome { act: name, choreography }
             }
             Destination::Act(to) => {
-                let to = choreography.acts[to].called().to_owned();
+                let to = choreography.acts[to.get()].called().to_owned();
                 Progress::Approaching { act: name, to, choreography }
             }
         };
         self.tell(told);
         self.continue_after_stop();
         for robot in rest {
-            self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+            self.robots[robot].set_stop(Stop::Confirmed(Rest::InPlace));
         }
         self.line_up_act(now, index);
         self.goes_on(now);
@@ -380,7 +380,8 @@ impl Mission {
         for robot in std::mem::take(&mut self.transfer.there) {
             let state = &mut self.robots[robot];
             if matches!(state.stop, Stop::None | Stop::Confirmed(_)) {
-                (state.stop, state.rest_reported) = (Stop::Confirmed(Rest::Home), true);
+                state.set_stop(Stop::Confirmed(Rest::Home));
+                state.rest_reported = true;
             }
         }
     }

@@ -14,7 +14,7 @@ use downbeat_scripts::{
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
 use crate::link::{Endpoint, LinkEncoding, Site};
-use downbeat_mission::{Destination, Greeting, Participant, PlanTransfer};
+use downbeat_mission::{ActIndex, Destination, Greeting, Participant, PlanTransfer};
 
 /// The error for a robot that cannot be simulated, because the fleet file does not describe it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -82,12 +82,12 @@ impl PlanTransfer for Planner {
         &self,
         choreography: &Choreography,
         to: Destination,
-        like: usize,
+        like: ActIndex,
         from: &Positions,
     ) -> Result<Option<Act>, String> {
         let planned = match to {
-            Destination::Home => plan_home(choreography, like, &self.0, from),
-            Destination::Act(act) => plan_approach(choreography, act, &self.0, from),
+            Destination::Home => plan_home(choreography, like.get(), &self.0, from),
+            Destination::Act(act) => plan_approach(choreography, act.get(), &self.0, from),
         };
         planned.map_err(|errors| {
             let first = errors.first().map(|error| error.message.clone()).unwrap_or_default();

@@ -30,7 +30,7 @@ const ANSWER: Span = Span::from_millis(500);
 /// `act.robots` excludes robots that lie and robots that Downbeat had left out before the start, so they are excluded here as well.
 #[must_use]
 pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
-    let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number));
+    let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number.get()));
     let mut now = act.start - BEGIN;
     let (mut started, mut reached) = (0, 0);
     for robot in act.robots.iter().copied() {

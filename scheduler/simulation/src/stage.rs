@@ -5,7 +5,7 @@ use std::fmt;
 use urrcp::{Server, Span, Timestamp};
 
 use super::{Fault, FaultKind, Hands, Happened, Ran};
-use downbeat_mission::{Progress, Record};
+use downbeat_mission::{ActNumber, Progress, Record};
 
 /// A stage of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -97,7 +97,7 @@ impl fmt::Display for Stage {
 
 /// An act that has been promised (recorded before it is sent) and has not ended.
 struct Open {
-    number: u32,
+    number: ActNumber,
     start: Timestamp<Server>,
     decided: bool,
     committed: bool,
@@ -139,7 +139,7 @@ impl Mission {
         }
     }
 
-    fn of(&mut self, number: u32, change: impl Fn(&mut Open)) {
+    fn of(&mut self, number: ActNumber, change: impl Fn(&mut Open)) {
         self.open.iter_mut().filter(|act| act.number == number).for_each(change);
     }
 

@@ -315,7 +315,7 @@ fn act_whose_robots_all_dropped_out_is_not_reported_as_played() {
         drawn.faults = players.into_iter().map(dies).collect();
         let ran = run_calmly(drawn);
         assert_eq!(ran.verdict().violations, [], "seed {}", ran.drawn.seed);
-        let fate = |report: downbeat_mission::report::Report| report.course[promise.act].fate.clone();
+        let fate = |report: downbeat_mission::report::Report| report.course[promise.act.get()].fate.clone();
         left += usize::from(ran.report.map(fate) == Some(ActFate::Stopped));
     }
     assert!(left > 20, "{left}");

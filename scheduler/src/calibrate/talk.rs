@@ -14,7 +14,7 @@ use urrcp::{
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::link::{Endpoint, Link};
-use crate::mission::Event;
+use crate::mission::{Event, RobotIndex};
 use crate::server_clock::ServerClock;
 use crate::session::Session;
 
@@ -127,7 +127,13 @@ impl RobotDialogue {
         patience: Span,
     ) -> Result<Self, DialogueError> {
         let (events, happened) = mpsc::channel(256);
-        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
+        let link = Link::open(
+            (RobotIndex::new(0), LinkNumber(0)),
+            endpoint,
+            clock,
+            events,
+            std::time::Duration::ZERO,
+        );
         let mut talk = Self {
             link,
             happened,

@@ -353,7 +353,7 @@ fn named(path: &Path) -> String {
 fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions {
     MissionOptions {
         greeting: fleet::greeting(fleet),
-        first_act,
+        first_act: first_act.into(),
         acts_max: args.acts,
         zone: ZONE,
         transfer: Some(fleet::transfer(fleet)),

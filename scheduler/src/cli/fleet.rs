@@ -23,7 +23,7 @@ use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet::{self, Drivers, StartPrograms};
 use crate::keys::calendar;
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
-use crate::mission::Event;
+use crate::mission::{Event, RobotIndex};
 use crate::server_clock::ServerClock;
 use crate::show::table::Rows;
 
@@ -291,7 +291,13 @@ pub(super) async fn ask_all(
             .map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(lists).zip(endpoints).map(|((robot, list), endpoint)| {
         let (events, happened) = mpsc::channel(64);
-        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
+        let link = Link::open(
+            (RobotIndex::new(0), LinkNumber(0)),
+            endpoint,
+            clock,
+            events,
+            std::time::Duration::ZERO,
+        );
         let id = robot.id.clone();
         // Each robot has its own task, so that a silent robot does not delay others. The task ends after `patience`.
         tokio::spawn(ask(id, list, link, happened, clock, patience))

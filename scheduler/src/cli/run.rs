@@ -473,7 +473,7 @@ impl Work<'_> {
             server_uncertainty,
             session: Some(session),
             fixed,
-            first_act,
+            first_act: first_act.into(),
             acts_max: None,
             join: self.join,
             seize: self.seize,
@@ -488,7 +488,7 @@ impl Work<'_> {
 
     fn fixed(&self, now: Timestamp<Server>, first_act: usize) -> Result<FixedStarts, Stopped> {
         let act = self.starts_with.unwrap_or(first_act);
-        let operator = self.start(now)?.map(|at| FixedStart { act, at });
+        let operator = self.start(now)?.map(|at| FixedStart { act: act.into(), at });
         Ok(FixedStarts { operator, within: self.start_within })
     }
 
@@ -576,7 +576,7 @@ impl Work<'_> {
                 () = stopped => {}
             }
         }
-        let tolerance = choreography.acts.get(options.first_act).map(|act| act.plan.start_tolerance);
+        let tolerance = choreography.acts.get(options.first_act.get()).map(|act| act.plan.start_tolerance);
         if let (Some(host), false) = (&host, self.preflight_only) {
             self.realtime.tell(host, self.format);
         }
@@ -647,7 +647,7 @@ fn check_waits(
     now: Timestamp<Server>,
 ) -> Result<(), String> {
     let fixed = options.fixed.operator;
-    let acts = choreography.acts.iter().skip(fixed.map_or(options.first_act, |fixed| fixed.act));
+    let acts = choreography.acts.iter().skip(fixed.map_or(options.first_act, |fixed| fixed.act).get());
     let mut from = fixed.map_or(now, |fixed| fixed.at);
     for act in acts.skip(usize::from(fixed.is_some())) {
         from = match &act.wait {

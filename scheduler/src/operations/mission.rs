@@ -14,7 +14,7 @@ use super::health::{Checked, Health};
 use super::host::number;
 use super::names::{self, FAILURE_KINDS, Metric};
 use crate::mission::figures::{PhaseName, RobotFigures};
-use crate::mission::{Failure, Mission, Progress};
+use crate::mission::{Failure, Mission, Progress, RobotIndex};
 use crate::run::watch::Watch;
 use crate::server_clock::ServerClock;
 
@@ -182,7 +182,9 @@ impl MissionWatch {
     fn look_at_robots(&self, mission: &Mission, robots: std::ops::Range<usize>) {
         for robot in robots {
             let cells = &self.numbers.robots[robot].1;
-            for ((cell, metric), value) in cells.iter().zip(CELLS).zip(values(&mission.figures_of(robot))) {
+            for ((cell, metric), value) in
+                cells.iter().zip(CELLS).zip(values(&mission.figures_of(RobotIndex::new(robot))))
+            {
                 match metric.kind {
                     names::MetricKind::Counter => cell.set(cell.get().max(value)),
                     names::MetricKind::Gauge | names::MetricKind::Histogram => cell.set(value),

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use downbeat_mission::report::{ActFate, ActReport};
-use downbeat_mission::{Promise, Record};
+use downbeat_mission::{ActIndex, Promise, Record};
 use urrcp::{ContentHash, Millis, RequestId, Server, Setpoint, Span, Timestamp};
 
 use super::steps::{Movement, TimedStep};
@@ -39,7 +39,7 @@ impl SentScript {
 }
 
 pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
-    let mut names: BTreeMap<usize, String> = BTreeMap::new();
+    let mut names: BTreeMap<ActIndex, String> = BTreeMap::new();
     let mut acts: Vec<PlayedAct<'_>> = Vec::new();
     for (_, record) in &history.records {
         match record {
@@ -78,8 +78,8 @@ pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
     acts
 }
 
-fn unnamed(index: usize, names: &BTreeMap<usize, String>) -> String {
-    names.get(&index).cloned().unwrap_or_else(|| format!("act {}", index.saturating_add(1)))
+fn unnamed(index: ActIndex, names: &BTreeMap<ActIndex, String>) -> String {
+    names.get(&index).cloned().unwrap_or_else(|| format!("act {}", index.get().saturating_add(1)))
 }
 
 fn fate(fate: Option<&ActFate>) -> String {

@@ -1,7 +1,7 @@
 //! Determines how and when an act ended, from its report and from messages or records.
 
 use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState};
-use downbeat_mission::{Progress, Record};
+use downbeat_mission::{ActNumber, Progress, Record};
 use serde::Serialize;
 use urrcp::{Server, Timestamp};
 
@@ -62,7 +62,7 @@ pub fn fate_text(report: &ActReport) -> &'static str {
 pub(crate) fn over<'a>(
     mut happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     name: &str,
-    number: u32,
+    number: ActNumber,
     sent: Timestamp<Server>,
 ) -> Option<Timestamp<Server>> {
     let ends = |happened: Happened<'_>| match happened {

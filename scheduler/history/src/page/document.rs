@@ -1,5 +1,6 @@
 //! The page's data format. `viewer/src/mission.ts` is the counterpart of these types, and a test of the viewer compares both.
 
+use downbeat_mission::ActNumber;
 use downbeat_scripts::WrittenRelation;
 use serde::Serialize;
 use serde_json::Value;
@@ -260,7 +261,7 @@ pub(super) struct Closest {
 #[derive(Debug, Serialize)]
 pub(super) struct Played {
     pub(super) name: String,
-    pub(super) number: u32,
+    pub(super) number: ActNumber,
     pub(super) plan: Option<usize>,
     pub(super) start: f64,
     pub(super) end: f64,
@@ -306,7 +307,7 @@ pub(super) struct Finding {
 pub(super) struct DeviceSeries {
     pub(super) robot: usize,
     pub(super) device: usize,
-    pub(super) act: Option<u32>,
+    pub(super) act: Option<ActNumber>,
     pub(super) series: Series,
 }
 

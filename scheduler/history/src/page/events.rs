@@ -1,7 +1,7 @@
 //! Describes the events of a mission in words: from the messages to the operator or, without those, from the journal.
 
 use downbeat_mission::report::ActFate;
-use downbeat_mission::{Progress, Record};
+use downbeat_mission::{ActNumber, Progress, Record};
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::document::MissionEvent;
@@ -90,7 +90,7 @@ fn told(progress: &Progress) -> Option<Event<'_>> {
 /// Describes a record of the journal; `None` for records that the page does not show.
 fn recorded(record: &Record) -> Option<Event<'_>> {
     let of_mission = |kind, text: String| Some((kind, None, text));
-    let named = |number: u32| format!("act {}", number + 1);
+    let named = |number: ActNumber| format!("act {}", number.get() + 1);
     match record {
         Record::Begun => of_mission("begun", "the mission has begun".to_owned()),
         Record::Checked => of_mission("checked", CHECKED.to_owned()),

@@ -10,8 +10,8 @@ use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
 use super::planned::Places;
 use crate::history::{Fate, Happened, over};
-use downbeat_mission::Progress;
 use downbeat_mission::report::{ActReport, ActRobot, Report};
+use downbeat_mission::{ActNumber, Progress};
 use downbeat_rehearsal::dry_run::{self, act_of};
 
 /// A message to the operator with its time.
@@ -114,13 +114,17 @@ fn robots(
 }
 
 /// When the first script of a robot in an act really started, by the true clock.
-fn started(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
+fn started(number: ActNumber, log: &[LogEntry]) -> Option<Timestamp<Server>> {
     let of_act = |entry: &&LogEntry| entry.request_id.as_deref().and_then(act_of) == Some(number);
     Some(Timestamp::from_nanos(log.iter().find(of_act)?.true_ns))
 }
 
 /// When the operator was informed that a robot had ended all its scripts in an act; `None` if that did not happen.
-pub(super) fn finished(told: &[TimedProgress], robot: &RobotId, number: u32) -> Option<Timestamp<Server>> {
+pub(super) fn finished(
+    told: &[TimedProgress],
+    robot: &RobotId,
+    number: ActNumber,
+) -> Option<Timestamp<Server>> {
     let of_robot = |told: &Progress| matches!(told, Progress::Finished { robot: of, number: act } if of == robot && *act == number);
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
@@ -134,13 +138,13 @@ pub(super) fn set(
     columns: &mut Columns,
 ) -> Vec<DeviceSeries> {
     let mut all = Vec::new();
-    let planned_as = |number: Option<u32>| {
+    let planned_as = |number: Option<ActNumber>| {
         let act = played.report.acts.iter().find(|act| Some(act.number) == number)?;
         choreography.acts.iter().find(|planned| planned.is_named(&act.act))
     };
     for (row, log) in played.report.robots.iter().zip(&played.logs) {
         let Some(robot) = places.robot(&row.robot) else { continue };
-        let mut of_device: BTreeMap<(Option<u32>, &DeviceId), Points> = BTreeMap::new();
+        let mut of_device: BTreeMap<(Option<ActNumber>, &DeviceId), Points> = BTreeMap::new();
         for entry in log.iter().filter(|entry| entry.is_set()) {
             let act = entry.request_id.as_deref().and_then(act_of);
             let at = epoch.millis(Timestamp::from_nanos(entry.true_ns));
@@ -164,7 +168,7 @@ pub(super) fn read(
     epoch: Epoch,
     columns: &mut Columns,
 ) -> Vec<DeviceSeries> {
-    let mut of_sensor: BTreeMap<(usize, usize, u32), Points> = BTreeMap::new();
+    let mut of_sensor: BTreeMap<(usize, usize, ActNumber), Points> = BTreeMap::new();
     for act in &report.acts {
         for reading in &act.readings {
             let Some(robot) = places.robot(&reading.robot) else { continue };

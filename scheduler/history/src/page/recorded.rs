@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use downbeat_mission::report::ActReport;
-use downbeat_mission::{Progress, Promise, Record};
+use downbeat_mission::{ActNumber, Progress, Promise, Record};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
@@ -154,7 +154,7 @@ impl History {
     }
 
     /// The report of the act with the given number; `None` if the act has not ended.
-    fn report_of(&self, number: u32) -> Option<&ActReport> {
+    fn report_of(&self, number: ActNumber) -> Option<&ActReport> {
         self.ended_acts().map(|act| act.report).rfind(|report| report.number == number)
     }
 
@@ -162,7 +162,7 @@ impl History {
     pub(super) fn name_of(&self, promise: &Promise) -> String {
         let name = self.report_of(promise.number).map(|report| report.act.as_str());
         let name = name.or_else(|| self.told_name(promise.timestamp));
-        name.map_or_else(|| format!("act {}", promise.number + 1), str::to_owned)
+        name.map_or_else(|| format!("act {}", promise.number.get() + 1), str::to_owned)
     }
 
     /// The name of the act with the sending timestamp `sent`, from the messages to the operator.

@@ -11,12 +11,14 @@
 use downbeat_plan::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
 
+use super::PromisedStage::{Approaching, Committed};
+use super::playing::Playing;
 use super::timing::Leases;
-use super::{Act, ActAction, Stage, Timing};
+use super::{Act, ActAction, Promised, PromisedStage, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::Record;
-use crate::robot_state::RobotState;
-use crate::{Outcome, Progress};
+use crate::robot_state::{RobotState, Robots};
+use crate::{Outcome, Progress, RobotIndex};
 
 /// How long before the latest time for the commitment a silent robot is considered failed. The other robots can then still be committed
 /// in time.
@@ -40,7 +42,7 @@ pub(crate) struct Approach {
     /// Sending times of the last two rounds of questions, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
-    /// All members (robots of the act) before this index have answered one of the last two rounds of questions.
+    /// Number of leading members (robots of the act) that have answered one of the last two rounds of questions.
     heard: usize,
     /// The time of an extra round of questions after the critical instant. It is sent because this process had stalled during the regular
     /// rounds; `None` if there was none.
@@ -58,7 +60,7 @@ pub(crate) struct Commitment {
     begun: Timestamp<Server>,
     /// The next instant at which a device may have finished a script, and so have room for another one.
     room: Timestamp<Server>,
-    /// All members (robots of the act) before this index have answered since the commitment was sent.
+    /// Number of leading members (robots of the act) that have answered since the commitment was sent.
     heard: usize,
     told: Told,
     /// The time at which the mission checks whether all robots have answered the commitment. It is the latest one at which a withdrawal
@@ -166,15 +168,15 @@ impl Commitment {
 
 impl Act {
     /// Performs the step that is due before the start: a round of questions, the record of the commitment, or the commitment itself.
-    pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         if self.present().next().is_none() {
-            self.stage = Stage::Deserted;
+            self.enter(PromisedStage::Deserted);
             return Vec::new();
         }
         if self.has_to_ask_late(now, robots) {
             return self.ask_late(now, robots);
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return Vec::new();
         };
         if approach.was_taken_up_too_late(timing) {
@@ -190,12 +192,12 @@ impl Act {
         if now >= approach.wakeup { self.round(now, robots) } else { Vec::new() }
     }
 
-    fn round(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn round(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = Vec::new();
         if self.may_be_recorded(now, robots) {
             actions.push(ActAction::Record(Record::Committed { number: self.number }));
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return actions;
         };
         if !actions.is_empty() {
@@ -208,24 +210,28 @@ impl Act {
 
     /// Whether another round of questions is needed and possible after the critical instant, because this process stalled during the last
     /// rounds.
-    fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
-        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+    fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &self.stage else {
+            return false;
+        };
         let since = approach.since(timing);
         approach.may_ask_late(now, timing)
             && self.present().any(|member| !member.holds_since(&robots[member.robot], since))
     }
 
-    fn ask_late(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn ask_late(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let actions = self.round(now, robots);
-        if let Stage::Approaching(approach) = &mut self.stage {
+        if let Some(Approaching(approach)) = self.stage.promised_mut() {
             (approach.rounds, approach.late_round) = ([now, now], Some(now));
         }
         actions
     }
 
     /// Whether to write the record of the commitment now. It is written before the commitment can be sent, because the disk may be slow.
-    fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
-        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+    fn may_be_recorded(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &self.stage else {
+            return false;
+        };
         if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
             return false;
         }
@@ -238,8 +244,8 @@ impl Act {
 
     /// Commits the act once all conditions hold, or gives it up in time. Called after the critical instant (the end of regular
     /// questions).
-    fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+    fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
+        let Stage::Promised(Promised { timing, stage: Approaching(approach) }) = &mut self.stage else {
             return Vec::new();
         };
         let (since, commit_by, fail_by) =
@@ -250,7 +256,7 @@ impl Act {
         // not answered.
         let holds =
             |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
-        let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
+        let heard = self.members.iter().skip(approach.heard).take_while(|member| holds(member)).count();
         approach.heard += heard;
         let all = approach.heard == self.members.len();
         let on_disk = approach.on_disk;
@@ -281,10 +287,12 @@ impl Act {
         &self,
         now: Timestamp<Server>,
         since: Timestamp<Server>,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
-        let blamed = match (&self.stage, &self.timing) {
-            (Stage::Approaching(approach), Some(timing)) => approach.blames_silence(now, timing),
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
+        let blamed = match &self.stage {
+            Stage::Promised(Promised { timing, stage: Approaching(approach) }) => {
+                approach.blames_silence(now, timing)
+            }
             _ => true,
         };
         let short = self.present().filter(|member| !member.holds_since(&robots[member.robot], since));
@@ -304,26 +312,26 @@ impl Act {
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
-        let Some(timing) = &self.timing else { return Vec::new() };
+        let Some(timing) = self.timing() else { return Vec::new() };
         let next_round = timing.out_of_quiet(now + timing.pace.period);
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;
         let begun = timing.out_of_quiet(timing.begun());
         let room = timing.begins();
-        self.stage =
-            Stage::Committed(Commitment { next_round, since: now, begun, room, heard: 0, told, doubt });
+        let commitment = Commitment { next_round, since: now, begun, room, heard: 0, told, doubt };
+        self.enter(Committed(commitment));
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
     /// Handles a committed act until it plays: renews the leases beyond the start, and detects whether every robot has answered the
     /// commitment.
-    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
             return vec![ActAction::Fail(doubtful)];
         }
         let mut actions = self.note_answers(now, robots);
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return actions;
         };
         let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
@@ -332,7 +340,7 @@ impl Act {
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
         if begun {
-            self.begin(now)
+            self.enter(PromisedStage::Playing(Playing::beginning(now)));
         } else {
             actions.extend(self.make_room(now, robots))
         }
@@ -341,13 +349,13 @@ impl Act {
 
     /// Sends further scripts to robots whose clocks are ahead. Such a robot may have played a script, and need the next one, before the
     /// last robot has started.
-    fn make_room(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
+    fn make_room(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
+        if !matches!(self.stage.promised(), Some(Committed(commitment)) if now >= commitment.room) {
             return Vec::new();
         }
         let actions = self.look_for_ends(now, robots);
         let next = self.next_watch(now, robots);
-        if let Stage::Committed(commitment) = &mut self.stage {
+        if let Some(Committed(commitment)) = self.stage.promised_mut() {
             // Scripts are also sent in the quiet around the start, because a robot would refuse a later one as late.
             commitment.room = next;
         }
@@ -356,8 +364,8 @@ impl Act {
 
     /// Returns the robots that have not answered the commitment in time to withdraw it, if the scenario requests a withdrawal in this
     /// case. It is unknown whether these robots will start.
-    fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+    fn doubtful(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return Vec::new();
         };
         let due = commitment.doubt.take_if(|at| now >= *at).is_some();
@@ -368,21 +376,21 @@ impl Act {
         }
         let (since, within) = (commitment.since, now - commitment.since);
         let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
-        let failure = |robot: usize| {
+        let failure = |robot: RobotIndex| {
             let awaited = "confirmation of the start (`on_doubt` is `withdraw`)".to_owned();
             (robot, FailureKind::Silent { awaited, within })
         };
         silent.map(|member| failure(member.robot)).collect()
     }
 
-    fn note_answers(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &mut self.timing) else {
+    fn note_answers(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
+        let Stage::Promised(Promised { timing, stage: Committed(commitment) }) = &mut self.stage else {
             return Vec::new();
         };
         let since = commitment.since;
         let answered =
             |member: &super::Member| !member.takes_part() || has_answered(&robots[member.robot], since);
-        let heard = self.members[commitment.heard..].iter().take_while(|member| answered(member)).count();
+        let heard = self.members.iter().skip(commitment.heard).take_while(|member| answered(member)).count();
         commitment.heard += heard;
         if commitment.heard < self.members.len() || commitment.told == Told::Window {
             return Vec::new();

@@ -6,7 +6,7 @@ use urrcp::{Server, Span, Timestamp};
 use super::playing::planned_end;
 use super::{Act, Member};
 use crate::clock::DRIFT_BOUND;
-use crate::robot_state::RobotState;
+use crate::robot_state::Robots;
 use crate::script::ScriptRef;
 use crate::{ClockMode, Record};
 
@@ -24,7 +24,7 @@ impl Act {
         clock_steps: u32,
         offset_at: impl FnOnce(Timestamp<Server>) -> Option<Span>,
     ) -> Option<Record> {
-        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let timing = self.timing().filter(|_| self.is_committed())?;
         let (member, planned) = (&self.members[script.member], self.script(script));
         let lost = planned.shift_is_lost();
         if planned.was_ever_sent() && !lost {
@@ -59,8 +59,8 @@ impl Act {
     /// Returns how far apart robots certainly were at the end of the act because of clock drift. If a robot was certainly even further
     /// off its plan, returns that time instead. Considers only robots that played to the end. A robot whose clock was set meanwhile is
     /// ignored, because its plan may not follow that clock.
-    pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
-        let start = self.timing.as_ref()?.start;
+    pub(crate) fn drifted_apart(&self, robots: &Robots) -> Option<Span> {
+        let start = self.timing()?.start;
         let deviation = |member: &Member| {
             let robot = &robots[member.robot];
             let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;

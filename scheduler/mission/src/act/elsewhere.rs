@@ -17,7 +17,7 @@ impl Act {
         robot: &RobotState,
         now: Timestamp<Server>,
     ) -> Option<Option<Timestamp<Server>>> {
-        let (timing, lost) = (self.timing.as_ref()?, self.script(script));
+        let (timing, lost) = (self.timing()?, self.script(script));
         let is_dropped = !self.is_committed() && robot.drops_undecided();
         if !lost.is_lost() || is_dropped || robot.in_process {
             return None;

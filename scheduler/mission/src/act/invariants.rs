@@ -3,27 +3,28 @@
 use std::collections::BTreeSet;
 
 use super::member::{Chain, Part};
-use super::{Act, Member, Stage, Timing};
-use crate::robot_state::RobotState;
+use super::{Act, Member, Promised, PromisedStage, Stage, Timing};
+use crate::RobotIndex;
+use crate::robot_state::{RobotState, Robots};
 use crate::script::Script;
 
 impl Act {
     /// Panics if an invariant of the act does not hold.
-    pub(crate) fn check(&self, robots: &[RobotState]) {
+    pub(crate) fn check(&self, robots: &Robots) {
         self.check_members(robots);
         self.check_stage();
-        if let Some(timing) = &self.timing {
+        if let Some(timing) = self.timing() {
             timing.check();
         }
     }
 
-    fn check_members(&self, robots: &[RobotState]) {
+    fn check_members(&self, robots: &Robots) {
         let name = self.name();
-        assert!(self.index < self.choreography.acts.len(), "{name}: the choreography contains the act");
+        assert!(self.index.get() < self.choreography.acts.len(), "{name}: the choreography contains the act");
         assert!(self.place.len() <= robots.len(), "{name}: every place belongs to a robot of the mission");
-        let robots_of: BTreeSet<usize> = self.members.iter().map(|member| member.robot).collect();
+        let robots_of: BTreeSet<RobotIndex> = self.members.iter().map(|member| member.robot).collect();
         assert_eq!(robots_of.len(), self.members.len(), "{name}: each robot has at most one part in an act");
-        for (place, member) in self.members.iter().enumerate() {
+        for (place, member) in self.members.enumerated() {
             assert_eq!(
                 self.place_of_member(member.robot),
                 Some(place),
@@ -46,31 +47,24 @@ impl Act {
         let scripts = || self.members.iter().flat_map(Member::scripts);
         match &self.stage {
             Stage::Waiting(_) | Stage::Ready { .. } => {
-                assert!(self.timing.is_none(), "{name}: an act that waits has no timestamp");
                 let untouched = |script: &Script| script.is_planned() && !script.was_ever_sent();
                 assert!(scripts().all(untouched), "{name}: before the promise, nothing is sent");
             }
-            Stage::Promised => {
-                assert!(self.timing.is_some(), "{name}: a promised act has a timestamp");
+            Stage::Promised(Promised { stage: PromisedStage::Recording, .. }) => {
                 let unsent = |script: &Script| script.is_planned() && !script.was_ever_sent();
                 assert!(scripts().all(unsent), "{name}: nothing is sent before the promise is on the disk");
             }
-            Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_) | Stage::Playing(_) => {
-                assert!(self.timing.is_some(), "{name}: an act that was sent has a timestamp");
-            }
-            Stage::Lapsing(_) => {
-                assert!(self.timing.is_some(), "{name}: only an act that was promised lapses")
-            }
-            Stage::Deserted => {
+            Stage::Deserted | Stage::Promised(Promised { stage: PromisedStage::Deserted, .. }) => {
                 assert!(
                     self.members.iter().all(|member| !member.takes_part()),
                     "{name}: no robot is left to play the act"
                 );
             }
-            Stage::Over => {
+            Stage::Promised(Promised { stage: PromisedStage::Over, .. }) => {
                 let over = self.present().all(Member::is_over);
                 assert!(over, "{name}: an act is over once nothing of it can still run");
             }
+            Stage::Promised(_) => {}
         }
     }
 }

@@ -5,9 +5,9 @@ use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
 
 use super::timing::{Leases, Timing};
 use super::{NamedScripts, Question};
-use crate::ClockMode;
-use crate::robot_state::{RobotState, Standing};
+use crate::robot_state::{RobotState, Robots, Standing};
 use crate::script::{Script, ScriptState};
+use crate::{ClockMode, IndexVec, MemberIndex, RobotIndex};
 
 /// How long after its planned start a committed script may still wait on the robot (`pending_until`). The robot therefore never drops a
 /// script that may begin.
@@ -24,7 +24,7 @@ pub(crate) enum Part {
 #[derive(Clone, Debug)]
 pub(crate) struct Member {
     /// Index of the robot in the mission.
-    pub(crate) robot: usize,
+    pub(crate) robot: RobotIndex,
     pub(super) part: Part,
     /// The offset added to the act's timestamp to convert it to the robot's clock.
     pub(super) shift: Span,
@@ -38,6 +38,9 @@ pub(crate) struct Member {
     /// The first time at which the robot was asked for its newest overdue report.
     pub(super) asked_since: Option<Timestamp<Server>>,
 }
+
+/// The robots with a part in one act.
+pub(crate) type Members = IndexVec<MemberIndex, Member>;
 
 /// Sort key of the questions to a robot. Questions that shorten leases come first, in the order in which their scripts begin after the
 /// start of the act. A question that shortens no lease comes last.
@@ -56,7 +59,7 @@ pub(super) struct Chain {
 }
 
 impl Member {
-    fn new(robot: usize, scripts: Vec<Script>) -> Self {
+    fn new(robot: RobotIndex, scripts: Vec<Script>) -> Self {
         let mut chains: Vec<Chain> = Vec::new();
         for (index, script) in scripts.iter().enumerate() {
             let follows =
@@ -305,19 +308,24 @@ impl Member {
     }
 }
 
+/// Returns the members that still take part.
+pub(super) fn present(members: &Members) -> impl Iterator<Item = &Member> {
+    members.iter().filter(|member| member.takes_part())
+}
+
 /// Returns the members of an act: the robots of the act that take part in the mission.
-pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &[RobotState]) -> Vec<Member> {
+pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &Robots) -> Members {
     members_among(plan, robots, |robot| robot.standing == Standing::In)
 }
 
 /// Returns the members of an act: its robots for which `has_part` returns true.
 pub(super) fn members_among(
     plan: &downbeat_plan::Plan,
-    robots: &[RobotState],
+    robots: &Robots,
     has_part: impl Fn(&RobotState) -> bool,
-) -> Vec<Member> {
+) -> Members {
     let index_of: std::collections::HashMap<_, _> =
-        robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+        robots.enumerated().map(|(index, robot)| (&robot.id, index)).collect();
     let member = |planned: &downbeat_plan::RobotPlan| {
         let robot = *index_of.get(&planned.robot)?;
         let script = |script: &DeviceScript| {

@@ -26,13 +26,15 @@ use urrcp::{ControlRequest, DeviceId, RequestId, Robot, Server, SessionId, Span,
 use super::events::TakenReading;
 use super::failure_kind::FailureKind;
 use super::motion::Watched;
-use super::robot_state::{Reading, RobotState};
+use super::robot_state::{Reading, Robots};
 use super::script::{Script, ScriptRef};
 use super::{Outcome, Progress, Record};
+use crate::{ActIndex, ActNumber, IndexVec, MemberIndex, RobotIndex};
 use approaching::{Approach, Commitment};
-use member::Part;
-pub(crate) use member::{Member, members};
+pub(crate) use member::{Member, Members, members};
+use member::{Part, present};
 pub(crate) use playing::LAPSE;
+use preparing::await_promise;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
 
@@ -48,8 +50,24 @@ enum Stage {
         /// The time of the next check whether the act can be sent; `None` if only after the next change.
         look: Option<Timestamp<Server>>,
     },
+    /// All robots of the act were left out before it was promised.
+    Deserted,
+    /// The act was promised to its robots.
+    Promised(Promised),
+}
+
+/// An act that was promised, with its instants.
+#[derive(Clone, Debug)]
+struct Promised {
+    timing: Timing,
+    stage: PromisedStage,
+}
+
+/// Stage of an act that was promised.
+#[derive(Clone, Debug)]
+enum PromisedStage {
     /// The promise (a record of the scripts about to be sent) is being written. Requests are sent once it is on disk.
-    Promised,
+    Recording,
     /// The requests have been sent. The decision whether to start is pending.
     Preparing(preparing::Preparing),
     /// All robots have accepted. Their leases are shortened to end just before the start, and the commitment, which extends them beyond
@@ -87,17 +105,17 @@ pub(crate) enum Progressed {
 #[must_use]
 pub(crate) enum ActAction {
     /// Read a sensor.
-    Read { robot: usize, sensor: DeviceId, what: Reading },
+    Read { robot: RobotIndex, sensor: DeviceId, what: Reading },
     /// The act has waited for too long. The mission continues with this [`Way`] instead.
     TimedOut(Way),
     /// Send the request of this script.
     Send(ScriptRef),
     /// For each of these robots: send every device as many scripts as it has room for.
-    Refill(Vec<usize>),
+    Refill(Vec<RobotIndex>),
     /// Ask these robots about the state of their scripts.
-    Ask(Vec<usize>),
+    Ask(Vec<RobotIndex>),
     /// These robots have failed.
-    Fail(Vec<(usize, FailureKind)>),
+    Fail(Vec<(RobotIndex, FailureKind)>),
     /// Withdraw the act, because it cannot start.
     Withdraw(Outcome),
     /// Write this record.
@@ -129,11 +147,14 @@ pub(super) enum Question {
     Extends,
 }
 
+/// For each robot of the mission: its index among the members of an act; `None` for a robot without a part.
+type Places = IndexVec<RobotIndex, Option<MemberIndex>>;
+
 /// One act under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Act {
-    number: u32,
-    index: usize,
+    number: ActNumber,
+    index: ActIndex,
     choreography: Arc<Choreography>,
     stage: Stage,
     follow: Way,
@@ -149,40 +170,68 @@ pub(crate) struct Act {
     /// The time at which the mission began to reconnect to robots of the act that have no link. It tries this before it promises the act
     /// to its robots.
     links_tried: Option<Timestamp<Server>>,
-    timing: Option<Timing>,
-    members: Vec<Member>,
-    /// Maps the index of each robot in the mission to its index in `members`; `None` for a robot without a part. Robots after the last
-    /// member are omitted.
-    place: Vec<Option<usize>>,
+    members: Members,
+    /// The index of each robot of the mission in `members`; `None` for a robot without a part. Robots after the last member are omitted.
+    place: Places,
     readings_asked: usize,
     readings: Vec<TakenReading>,
     /// The devices whose movements are verified with sensors once the act is committed.
     watched: Vec<Watched>,
 }
 
+impl Stage {
+    const fn timing(&self) -> Option<&Timing> {
+        match self {
+            Self::Promised(promised) => Some(&promised.timing),
+            _ => None,
+        }
+    }
+
+    const fn timing_mut(&mut self) -> Option<&mut Timing> {
+        match self {
+            Self::Promised(promised) => Some(&mut promised.timing),
+            _ => None,
+        }
+    }
+
+    /// The stage of an act that was promised; `None` before the promise.
+    const fn promised(&self) -> Option<&PromisedStage> {
+        match self {
+            Self::Promised(promised) => Some(&promised.stage),
+            _ => None,
+        }
+    }
+
+    const fn promised_mut(&mut self) -> Option<&mut PromisedStage> {
+        match self {
+            Self::Promised(promised) => Some(&mut promised.stage),
+            _ => None,
+        }
+    }
+}
+
 impl Act {
     /// Creates the act with this index in the choreography. It waits for its condition.
     pub(crate) fn new(
         choreography: Arc<Choreography>,
-        index: usize,
-        number: u32,
-        robots: &[RobotState],
+        index: ActIndex,
+        number: ActNumber,
+        robots: &Robots,
         since: Timestamp<Server>,
         before: Option<Timestamp<Server>>,
     ) -> Self {
-        let members = members(&choreography.acts[index].plan, robots);
+        let members = members(&choreography.acts[index.get()].plan, robots);
         Self {
             number,
             index,
             stage: Stage::Waiting(waiting::Waiting::default()),
-            follow: choreography.acts[index].next,
+            follow: choreography.acts[index.get()].next,
             attempts: 0,
             fixed: None,
             since,
             before,
             alone_since: None,
             links_tried: None,
-            timing: None,
             place: places(&members),
             members,
             readings_asked: 0,
@@ -193,18 +242,18 @@ impl Act {
     }
 
     /// Returns the act's number in the mission, starting at 0.
-    pub(crate) const fn number(&self) -> u32 {
+    pub(crate) const fn number(&self) -> ActNumber {
         self.number
     }
 
     /// Returns the act's index in the choreography.
-    pub(crate) const fn index(&self) -> usize {
+    pub(crate) const fn index(&self) -> ActIndex {
         self.index
     }
 
     /// Returns the act's definition in the scenario.
     pub(crate) fn written(&self) -> &downbeat_plan::Act {
-        &self.choreography.acts[self.index]
+        &self.choreography.acts[self.index.get()]
     }
 
     /// Returns the act's name for users.
@@ -257,18 +306,26 @@ impl Act {
 
     /// Lets the act lapse: it is not committed, and its robots drop it when its leases end.
     pub(crate) fn is_not_started(&mut self, outcome: Outcome) {
-        self.stage = Stage::Lapsing(outcome);
+        self.enter(PromisedStage::Lapsing(outcome));
+    }
+
+    /// Moves an act that was promised to another stage.
+    fn enter(&mut self, stage: PromisedStage) {
+        if let Stage::Promised(promised) = &mut self.stage {
+            promised.stage = stage;
+        }
     }
 
     pub(crate) const fn is_lapsing(&self) -> bool {
-        matches!(self.stage, Stage::Lapsing(_))
+        matches!(self.stage.promised(), Some(PromisedStage::Lapsing(_)))
     }
 
+    /// Returns the instants of the act; `None` before the promise.
     pub(crate) const fn timing(&self) -> Option<&Timing> {
-        self.timing.as_ref()
+        self.stage.timing()
     }
 
-    pub(crate) fn members(&self) -> &[Member] {
+    pub(crate) const fn members(&self) -> &Members {
         &self.members
     }
 
@@ -278,22 +335,22 @@ impl Act {
 
     /// Returns the members that still take part.
     pub(crate) fn present(&self) -> impl Iterator<Item = &Member> {
-        self.members.iter().filter(|member| member.takes_part())
+        present(&self.members)
     }
 
     /// Returns the member for a robot, even if the robot no longer takes part.
-    pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
+    pub(crate) fn member(&self, robot: RobotIndex) -> Option<&Member> {
         self.place_of_member(robot).map(|place| &self.members[place])
     }
 
     /// Returns the index in `members` of a robot; `None` if the robot does not take part, or no longer.
-    pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
+    pub(crate) fn place_of(&self, robot: RobotIndex) -> Option<MemberIndex> {
         self.place_of_member(robot).filter(|place| self.members[*place].takes_part())
     }
 
     /// Returns the index in `members` of a robot, even if the robot no longer takes part.
-    fn place_of_member(&self, robot: usize) -> Option<usize> {
-        self.place.get(robot).copied().flatten()
+    fn place_of_member(&self, robot: RobotIndex) -> Option<MemberIndex> {
+        self.place.get(robot.get()).copied().flatten()
     }
 
     pub(crate) fn script(&self, script: ScriptRef) -> &Script {
@@ -301,40 +358,41 @@ impl Act {
     }
 
     /// Returns the index of the robot that plays a script.
-    pub(crate) fn robot_of(&self, script: ScriptRef) -> usize {
+    pub(crate) fn robot_of(&self, script: ScriptRef) -> RobotIndex {
         self.members[script.member].robot
     }
 
     /// Whether the act's requests may be sent: the promise of the act is on disk, and the act is not over.
     pub(crate) const fn is_open(&self) -> bool {
-        matches!(
-            self.stage,
-            Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_) | Stage::Playing(_)
-        )
+        use PromisedStage::{Approaching, Committed, Playing, Preparing};
+        matches!(self.stage.promised(), Some(Preparing(_) | Approaching(_) | Committed(_) | Playing(_)))
     }
 
     /// Whether a robot may have received any request of the act.
     pub(crate) const fn was_sent(&self) -> bool {
-        self.timing.is_some()
+        matches!(self.stage, Stage::Promised(_))
     }
 
     /// Whether a script may be sent now. Before the commitment, the device must have accepted its first script. If the first script were
     /// lost on the way, a later one could begin without it and without the other robots.
-    pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
-        let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+    pub(crate) fn lets_follow(&self, member: MemberIndex, script: usize) -> bool {
+        use PromisedStage::{Approaching, Preparing};
+        let uncommitted = matches!(self.stage.promised(), Some(Preparing(_) | Approaching(_)));
         !uncommitted || self.members[member].may_follow(script)
     }
 
     pub(crate) const fn is_committed(&self) -> bool {
-        matches!(self.stage, Stage::Committed(_) | Stage::Playing(_) | Stage::Over)
+        use PromisedStage::{Committed, Over, Playing};
+        matches!(self.stage.promised(), Some(Committed(_) | Playing(_) | Over))
     }
 
     pub(crate) const fn is_playing(&self) -> bool {
-        matches!(self.stage, Stage::Playing(_))
+        matches!(self.stage.promised(), Some(PromisedStage::Playing(_)))
     }
 
     pub(crate) const fn is_over(&self) -> bool {
-        matches!(self.stage, Stage::Deserted | Stage::Over)
+        use PromisedStage::{Deserted, Over};
+        matches!(self.stage, Stage::Deserted) || matches!(self.stage.promised(), Some(Deserted | Over))
     }
 
     pub(crate) fn has_begun(&self) -> bool {
@@ -358,16 +416,19 @@ impl Act {
 
     /// Returns the act's stage without its data, so that callers can detect progress.
     pub(crate) const fn progress(&self) -> Progressed {
-        match self.stage {
+        match &self.stage {
             Stage::Waiting(_) => Progressed::Waiting,
             Stage::Ready { .. } => Progressed::Ready,
-            Stage::Promised => Progressed::Promised,
-            Stage::Preparing(_) => Progressed::Preparing,
-            Stage::Approaching(_) => Progressed::Approaching,
-            Stage::Committed(_) => Progressed::Committed,
-            Stage::Playing(_) => Progressed::Playing,
-            Stage::Lapsing(_) => Progressed::Lapsing,
-            Stage::Deserted | Stage::Over => Progressed::Over,
+            Stage::Deserted => Progressed::Over,
+            Stage::Promised(promised) => match promised.stage {
+                PromisedStage::Recording => Progressed::Promised,
+                PromisedStage::Preparing(_) => Progressed::Preparing,
+                PromisedStage::Approaching(_) => Progressed::Approaching,
+                PromisedStage::Committed(_) => Progressed::Committed,
+                PromisedStage::Playing(_) => Progressed::Playing,
+                PromisedStage::Lapsing(_) => Progressed::Lapsing,
+                PromisedStage::Deserted | PromisedStage::Over => Progressed::Over,
+            },
         }
     }
 
@@ -388,7 +449,7 @@ impl Act {
     }
 
     /// Removes a robot from the act.
-    pub(crate) fn drop_robot(&mut self, robot: usize) {
+    pub(crate) fn drop_robot(&mut self, robot: RobotIndex) {
         if let Some(place) = self.place_of_member(robot) {
             self.members[place].part = Part::Dropped;
         }
@@ -397,16 +458,16 @@ impl Act {
 
     /// For a robot that is left out, returns the requests that it may have received before this process took over the act. Requests whose
     /// fate the robot has reported are excluded. `None` if none remain.
-    pub(crate) fn unheard_of(&self, robot: usize) -> Option<NamedScripts> {
+    pub(crate) fn unheard_of(&self, robot: RobotIndex) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_unheard_since_taken_up)
     }
 
     /// For a robot that is left out, returns the requests whose fate it has not reported; `None` if there are none.
-    pub(crate) fn owed_by(&self, robot: usize) -> Option<NamedScripts> {
+    pub(crate) fn owed_by(&self, robot: RobotIndex) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_out)
     }
 
-    fn left_out_with(&self, robot: usize, is_meant: impl Fn(&Script) -> bool) -> Option<NamedScripts> {
+    fn left_out_with(&self, robot: RobotIndex, is_meant: impl Fn(&Script) -> bool) -> Option<NamedScripts> {
         let member = self.member(robot).filter(|member| !member.takes_part())?;
         let meant = member.scripts().iter().filter(|script| is_meant(script));
         let requests: Vec<_> = meant.filter_map(|script| script.request_id().cloned()).collect();
@@ -414,7 +475,7 @@ impl Act {
     }
 
     /// Adds robots that have joined the mission meanwhile, unless the act has already been sent.
-    pub(crate) fn gather(&mut self, robots: &[RobotState]) {
+    pub(crate) fn gather(&mut self, robots: &Robots) {
         if !self.was_sent() {
             self.members = members(&self.written().plan, robots);
             self.place = places(&self.members);
@@ -425,20 +486,25 @@ impl Act {
     pub(crate) fn advance(
         &mut self,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
         options: &super::MissionOptions,
     ) -> Vec<ActAction> {
         let mut watched = self.watch_motions(now);
         let actions = match &self.stage {
             Stage::Waiting(_) => self.wait(now, robots, options),
             Stage::Ready { .. } => self.leave_if_deserted(),
-            Stage::Promised => self.await_promise(now),
-            Stage::Preparing(_) => self.decide_if_due(now, robots),
-            Stage::Approaching(_) => self.approach(now, robots),
-            Stage::Committed(_) => self.begin_if_due(now, robots),
-            Stage::Playing(_) => self.watch(now, robots),
-            Stage::Lapsing(outcome) if self.is_alone() => vec![ActAction::Withdraw(outcome.clone())],
-            Stage::Lapsing(_) | Stage::Deserted | Stage::Over => Vec::new(),
+            Stage::Deserted => Vec::new(),
+            Stage::Promised(Promised { timing, stage }) => match stage {
+                PromisedStage::Recording => await_promise(now, timing),
+                PromisedStage::Preparing(_) => self.decide_if_due(now, robots),
+                PromisedStage::Approaching(_) => self.approach(now, robots),
+                PromisedStage::Committed(_) => self.begin_if_due(now, robots),
+                PromisedStage::Playing(_) => self.watch(now, robots),
+                PromisedStage::Lapsing(outcome) if self.is_alone() => {
+                    vec![ActAction::Withdraw(outcome.clone())]
+                }
+                PromisedStage::Lapsing(_) | PromisedStage::Deserted | PromisedStage::Over => Vec::new(),
+            },
         };
         if watched.is_empty() {
             return actions;
@@ -449,27 +515,31 @@ impl Act {
 
     /// Returns the time at which [`Act::advance`] is next due; `None` if only after the next event.
     pub(crate) fn wakeup(&self) -> Option<Timestamp<Server>> {
-        let timing = self.timing.as_ref();
         match &self.stage {
             Stage::Waiting(waiting) => self.wait_wakeup(waiting),
             Stage::Ready { look, .. } => *look,
-            Stage::Promised => timing.map(|timing| timing.decision),
-            Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
-            Stage::Approaching(approach) => Some(approach.wakeup()),
-            Stage::Committed(commitment) => self.motion_due().into_iter().chain([commitment.wakeup()]).min(),
-            Stage::Playing(playing) => {
-                let due = self.reading_due().into_iter().chain(self.motion_due());
-                due.chain([playing.wakeup(self.since)]).min()
-            }
-            Stage::Lapsing(_) | Stage::Deserted | Stage::Over => None,
+            Stage::Deserted => None,
+            Stage::Promised(Promised { timing, stage }) => match stage {
+                PromisedStage::Recording => Some(timing.decision),
+                PromisedStage::Preparing(preparing) => Some(preparing.wakeup(timing)),
+                PromisedStage::Approaching(approach) => Some(approach.wakeup()),
+                PromisedStage::Committed(commitment) => {
+                    self.motion_due().into_iter().chain([commitment.wakeup()]).min()
+                }
+                PromisedStage::Playing(playing) => {
+                    let due = self.reading_due().into_iter().chain(self.motion_due());
+                    due.chain([playing.wakeup(self.since)]).min()
+                }
+                PromisedStage::Lapsing(_) | PromisedStage::Deserted | PromisedStage::Over => None,
+            },
         }
     }
 
     /// Notes that the record for which the act waits is on disk.
     pub(crate) fn recorded(&mut self) -> Vec<ActAction> {
-        match &mut self.stage {
-            Stage::Promised => self.open(),
-            Stage::Approaching(approach) => {
+        match self.stage.promised_mut() {
+            Some(PromisedStage::Recording) => self.open(),
+            Some(PromisedStage::Approaching(approach)) => {
                 approach.recorded();
                 Vec::new()
             }
@@ -479,14 +549,14 @@ impl Act {
 
     /// Returns the request that carries a script, without its time limit `pending_until`.
     pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         Some(preparing::request(timing, &self.members[script.member], script.script, session))
     }
 
     /// Returns the limit `pending_until` of a script that is sent now: the latest time until which it may wait for its start. `ahead` is
     /// how far the robot's clock is ahead of the server's, if known.
     pub(crate) fn pending_until(&self, script: ScriptRef, ahead: Option<Span>) -> Option<Timestamp<Robot>> {
-        let (timing, member) = (self.timing.as_ref()?, &self.members[script.member]);
+        let (timing, member) = (self.timing()?, &self.members[script.member]);
         Some(if self.is_committed() {
             member.beyond_start(script.script, timing)
         } else {
@@ -499,29 +569,29 @@ impl Act {
     /// server's, if known. All leases end at the same instant, whatever a clock shows.
     pub(crate) fn names_of(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
-        let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
-        let question = match self.stage {
-            Stage::Approaching(_) => Question::Shortens,
-            Stage::Committed(_) | Stage::Playing(_) => Question::Extends,
+        let (Some(place), Some(timing)) = (self.place_of(robot), self.timing()) else { return Vec::new() };
+        let question = match self.stage.promised() {
+            Some(PromisedStage::Approaching(_)) => Question::Shortens,
+            Some(PromisedStage::Committed(_) | PromisedStage::Playing(_)) => Question::Extends,
             _ => Question::Asks,
         };
         self.members[place].names(timing, now, ahead, question)
     }
 
     /// Whether a robot may hold a request of this act.
-    pub(crate) fn has_something_on(&self, robot: usize) -> bool {
+    pub(crate) fn has_something_on(&self, robot: RobotIndex) -> bool {
         let place = self.place_of(robot).filter(|_| self.was_sent());
         place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
     }
 
     /// Whether the act approaches its start and includes this robot. Every message to the robot must then follow a question that sets a
     /// lease.
-    pub(crate) fn approaches(&self, robot: usize) -> bool {
-        matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
+    pub(crate) fn approaches(&self, robot: RobotIndex) -> bool {
+        matches!(self.stage.promised(), Some(PromisedStage::Approaching(_))) && self.place_of(robot).is_some()
     }
 
     /// Returns the requests of this act that a robot may hold and could begin, with leases that end before the start. Empty once the act
@@ -529,15 +599,19 @@ impl Act {
     /// commit it, but cannot extend them.
     pub(crate) fn to_withdraw(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
-        let uncommitted =
-            matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_) | Stage::Lapsing(_));
-        let Some(timing) = self.timing.as_ref().filter(|timing| uncommitted && now < timing.brink()) else {
+        use PromisedStage::{Approaching, Lapsing, Preparing};
+        let Stage::Promised(Promised { timing, stage: Preparing(_) | Approaching(_) | Lapsing(_) }) =
+            &self.stage
+        else {
             return Vec::new();
         };
+        if now >= timing.brink() {
+            return Vec::new();
+        }
         let Some(place) = self.place_of(robot) else { return Vec::new() };
         let mut named = self.members[place].names(timing, now, ahead, Question::Shortens);
         named.retain(|named| named.lease.is_some());
@@ -545,48 +619,48 @@ impl Act {
     }
 
     /// Whether messages to a robot must wait, because they would extend its lease beyond a start that is not committed.
-    pub(crate) fn holds_messages_to(&self, robot: usize, now: Timestamp<Server>) -> bool {
-        let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
-        let undecided = match &self.stage {
-            Stage::Preparing(_) => true,
-            Stage::Approaching(approach) => !approach.asks_late(now),
+    pub(crate) fn holds_messages_to(&self, robot: RobotIndex, now: Timestamp<Server>) -> bool {
+        let Stage::Promised(Promised { timing, stage }) = &self.stage else { return false };
+        let undecided = match stage {
+            PromisedStage::Preparing(_) => true,
+            PromisedStage::Approaching(approach) => !approach.asks_late(now),
             _ => false,
         };
-        critical && undecided && self.place_of(robot).is_some()
+        now >= timing.critical() && undecided && self.place_of(robot).is_some()
     }
 
     /// Returns the earliest time to send a message that is due at `now`: later than `now` during the quiet period around the start.
     pub(crate) fn out_of_quiet(&self, now: Timestamp<Server>) -> Timestamp<Server> {
-        self.timing.as_ref().map_or(now, |timing| timing.out_of_quiet(now))
+        self.timing().map_or(now, |timing| timing.out_of_quiet(now))
     }
 
     /// Whether an urgent message may be sent to a robot although other messages to it must wait. It follows a question that shortens the
     /// robot's lease.
-    pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
-        let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
-        timing.is_some() && self.approaches(robot)
+    pub(crate) fn lets_through(&self, robot: RobotIndex, now: Timestamp<Server>) -> bool {
+        self.timing().is_some_and(|timing| timing.lets_through(now)) && self.approaches(robot)
     }
 
     /// Notes that something has changed, so that the act checks again whether it can continue.
     pub(crate) fn look_again(&mut self) {
         match &mut self.stage {
-            Stage::Playing(playing) => playing.recheck(),
+            Stage::Promised(Promised { stage: PromisedStage::Playing(playing), .. }) => playing.recheck(),
             Stage::Ready { look, .. } => *look = None,
             _ => {}
         }
     }
 }
 
-fn places(members: &[Member]) -> Vec<Option<usize>> {
-    let mut places = vec![None; members.iter().map(|member| member.robot + 1).max().unwrap_or_default()];
-    for (place, member) in members.iter().enumerate() {
+fn places(members: &Members) -> Places {
+    let robots = members.iter().map(|member| member.robot.get() + 1).max().unwrap_or_default();
+    let mut places = Places::from(vec![None; robots]);
+    for (place, member) in members.enumerated() {
         places[member.robot] = Some(place);
     }
     places
 }
 
 /// Returns the name of an act for users.
-pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
-    let act = &choreography.acts[act];
+pub(crate) fn act_name(choreography: &Choreography, act: ActIndex) -> String {
+    let act = &choreography.acts[act.get()];
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
 }

@@ -2,25 +2,26 @@
 
 use urrcp::{Server, Timestamp};
 
-use super::{Act, ActAction, Stage};
+use super::{Act, ActAction, Promised, PromisedStage, Stage};
+use crate::RobotIndex;
 use crate::motion::{MotionReport, Watched};
-use crate::robot_state::{Reading, RobotState};
+use crate::robot_state::{Reading, Robots};
 
 impl Act {
     /// Starts to watch the first movement of each device whose position a sensor shows.
-    pub(crate) fn verify_motions(&mut self, robots: &[RobotState]) {
+    pub(crate) fn verify_motions(&mut self, robots: &Robots) {
         self.watched = Watched::of(self, robots);
     }
 
     /// Requests the sensor readings that are due to verify motions.
     pub(super) fn watch_motions(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
-        let (Some(timing), number) = (&self.timing, self.number) else { return Vec::new() };
-        if self.watched.is_empty() || !matches!(self.stage, Stage::Committed(_) | Stage::Playing(_)) {
+        use PromisedStage::{Committed, Playing};
+        let Stage::Promised(Promised { timing, stage: Committed(_) | Playing(_) }) = &self.stage else {
             return Vec::new();
-        }
-        let (start, members, place) = (timing.start, &self.members, &self.place);
-        let takes_part = |robot: usize| {
-            place.get(robot).copied().flatten().is_some_and(|place| members[place].takes_part())
+        };
+        let (number, start, members, place) = (self.number, timing.start, &self.members, &self.place);
+        let takes_part = |robot: RobotIndex| {
+            place.get(robot.get()).copied().flatten().is_some_and(|place| members[place].takes_part())
         };
         let mut actions = Vec::new();
         for (index, watched) in self.watched.iter_mut().enumerate() {
@@ -35,7 +36,7 @@ impl Act {
     }
 
     pub(super) fn motion_due(&self) -> Option<Timestamp<Server>> {
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let here = |watched: &&Watched| {
             self.place_of(watched.robot()).is_some_and(|place| self.members[place].takes_part())
         };
@@ -49,8 +50,8 @@ impl Act {
     }
 
     /// Returns the reports on the motions that sensors have verified.
-    pub(crate) fn motions(&self, robots: &[RobotState]) -> Vec<MotionReport> {
-        let Some(timing) = &self.timing else { return Vec::new() };
+    pub(crate) fn motions(&self, robots: &Robots) -> Vec<MotionReport> {
+        let Some(timing) = self.timing() else { return Vec::new() };
         let watched = self.watched.iter();
         watched.map(|watched| watched.report(timing.start, &robots[watched.robot()])).collect()
     }

@@ -5,12 +5,12 @@ use urrcp::{
 };
 
 use super::timing::CLOCK_UNKNOWN;
-use super::{Act, ActAction, Member, Stage, Timing};
-use crate::Progress;
+use super::{Act, ActAction, Member, PromisedStage, Timing};
 use crate::claim::{Possible, Times, Told};
 use crate::failure_kind::FailureKind;
-use crate::robot_state::{Reading, RobotState};
+use crate::robot_state::{Reading, RobotState, Robots};
 use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
+use crate::{MemberIndex, Progress, RobotIndex};
 
 /// How long after an event a robot's report of it may still arrive, in addition to two round trips.
 const REPORT_GRACE: Span = Span::from_millis(500);
@@ -34,11 +34,15 @@ pub(super) struct Playing {
     asked: Option<Timestamp<Server>>,
     /// How long after an event a robot's report of it may still arrive, as determined at the last check for reports.
     grace: Span,
-    /// All members before this index have completed their scripts, or no longer take part.
+    /// Number of leading members that have completed their scripts, or no longer take part.
     done: usize,
 }
 
 impl Playing {
+    pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
+        Self { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 }
+    }
+
     /// Returns the time of the next check. If the check is due now, returns `at_once`, an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
         self.watch.unwrap_or(at_once)
@@ -57,11 +61,6 @@ pub(crate) struct Noted {
 }
 
 impl Act {
-    pub(super) fn begin(&mut self, now: Timestamp<Server>) {
-        let playing = Playing { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 };
-        self.stage = Stage::Playing(playing);
-    }
-
     /// Whether the robot has ended a script because the operator's key is no longer valid. It has then ended all commands of the session,
     /// and rests.
     pub(crate) fn was_barred(&self, script: ScriptRef, response: &ControlResponse) -> bool {
@@ -76,7 +75,7 @@ impl Act {
         script: ScriptRef,
         response: &ControlResponse,
         arrived: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Noted {
         if self.script(script).had_another_name(response) {
             return Noted { news: News::None, actions: Vec::new() };
@@ -111,8 +110,7 @@ impl Act {
     /// `Started` response may be lost, for example because the robot sent it to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
-        let start =
-            self.timing.as_ref().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
+        let start = self.timing().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
         let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
         let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
         let accepted = match planned.state() {
@@ -129,12 +127,12 @@ impl Act {
         script: ScriptRef,
         report: &RequestReport,
         (asked_at, said_at, arrived): (Timestamp<Server>, Timestamp<Robot>, Timestamp<Server>),
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Noted {
         if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
             return noted;
         }
-        let start = self.timing.as_ref().map(|timing| timing.start + self.script(script).plan.start.span());
+        let start = self.timing().map(|timing| timing.start + self.script(script).plan.start.span());
         let member = &mut self.members[script.member];
         if let Some((told, start)) = report.start_timestamp.zip(start)
             && member.scripts()[script.script].shift_is_lost()
@@ -152,8 +150,8 @@ impl Act {
             None => script.reported(report, asked_at, said_at),
         });
         let begins = self
-            .timing
-            .as_ref()
+            .stage
+            .timing()
             .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
         // The robot may have received and played the script, and then forgotten it.
         let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
@@ -163,7 +161,7 @@ impl Act {
 
     /// Returns the consequences of a robot's impossible statement about a script; `None` if the statement is possible. Statements about a
     /// finished script are ignored.
-    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
+    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &Robots) -> Option<Noted> {
         let member = &self.members[reference.member];
         let script = &member.scripts()[reference.script];
         let robot = member.robot;
@@ -185,7 +183,7 @@ impl Act {
     fn possible(&self, member: &Member, script: &Script, robot: &RobotState, told: &Told) -> Possible {
         let reading = robot.clock_at(told.arrived());
         let shift = member.shift_of(script);
-        let times = self.timing.as_ref().map(|timing| Times {
+        let times = self.timing().map(|timing| Times {
             sent: timing.timestamp,
             start: (timing.start + script.plan.start.span() + shift).assume_clock(),
             duration: script.duration(),
@@ -196,11 +194,11 @@ impl Act {
         Possible { planned: script.steps_planned(), before: script.steps_said(), times }
     }
 
-    fn noted(&mut self, script: ScriptRef, news: News, robots: &[RobotState]) -> Noted {
+    fn noted(&mut self, script: ScriptRef, news: News, robots: &Robots) -> Noted {
         let member = &self.members[script.member];
         let robot = member.robot;
         let id = robots[robot].id.clone();
-        let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
+        let accepted = |member: &Member| self.timing().is_some_and(|it| member.has_accepted(it));
         let mut actions = Vec::new();
         if news == News::Accepted && member.waits_for(script.script) {
             // The following scripts of the device are sent once the first one has arrived.
@@ -209,7 +207,9 @@ impl Act {
         match &news {
             // Robots are expected to drop these scripts: the act is prepared again with other requests.
             News::Failed(_) | News::NeverReceived if self.is_lapsing() => {}
-            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
+            News::Accepted
+                if matches!(self.stage.promised(), Some(PromisedStage::Preparing(_))) && accepted(member) =>
+            {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
             News::Started => {
@@ -250,7 +250,7 @@ impl Act {
         if script.shift_is_lost() {
             return None;
         }
-        let planned = self.timing.as_ref()?.start + script.starts() + member.shift_of(script);
+        let planned = self.timing()?.start + script.starts() + member.shift_of(script);
         Some(script.started_at()? - planned.assume_clock())
     }
 
@@ -258,14 +258,14 @@ impl Act {
     pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let shift = member.shift_of(planned);
-        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + shift);
+        let end = self.timing().map(|timing| planned_end(timing.start, planned) + shift);
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
     /// Returns the difference between the reported start or end of a script and the planned one, by its robot's clock.
     pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
         let (member, planned) = (&self.members[script.member], self.script(script));
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let due = match response.status {
             urrcp::Status::Started => start + planned.starts(),
             _ => planned_end(start, planned),
@@ -279,32 +279,32 @@ impl Act {
     }
 
     /// Ends the act when all scripts are done, and finds overdue reports.
-    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
         if self.has_ended(now, robots) {
-            self.stage = Stage::Over;
+            self.enter(PromisedStage::Over);
             return actions;
         }
-        let Stage::Playing(playing) = &self.stage else { return actions };
+        let Some(PromisedStage::Playing(playing)) = self.stage.promised() else { return actions };
         if playing.watch.is_some_and(|at| now < at) {
             return actions;
         }
         actions.extend(self.refill_lapsed(now, robots));
         if self.has_ended(now, robots) {
-            self.stage = Stage::Over;
+            self.enter(PromisedStage::Over);
             return actions;
         }
         actions.extend(self.ask_for_overdue(now, robots));
         let next = self.next_watch(now, robots);
         let grace = self.report_grace(robots);
-        if let Stage::Playing(playing) = &mut self.stage {
+        if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
             playing.watch = Some(next);
             playing.grace = grace;
         }
         actions
     }
 
-    fn has_ended(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn has_ended(&mut self, now: Timestamp<Server>, robots: &Robots) -> bool {
         self.is_played(robots)
             && !self.awaits_those_left_out(now, robots)
             && self.rests_until().is_none_or(|end| now >= end)
@@ -312,23 +312,23 @@ impl Act {
 
     /// Returns the end of the last movement that continues after the last step of its script; `None` if no movement does.
     fn rests_until(&self) -> Option<Timestamp<Server>> {
-        let start = self.timing.as_ref()?.start;
+        let start = self.timing()?.start;
         let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
         let resting = plans.filter(|plan| plan.rest > Span::ZERO);
         resting.map(|plan| start + plan.start.span() + plan.duration()).max()
     }
 
     /// Whether no script of the act can still run. Each event checks only from the first member that is not done.
-    fn is_played(&mut self, robots: &[RobotState]) -> bool {
-        let Stage::Playing(playing) = &mut self.stage else { return false };
+    fn is_played(&mut self, robots: &Robots) -> bool {
+        let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() else { return false };
         let done = |member: &&Member| !member.takes_part() || member.is_done();
-        playing.done += self.members[playing.done..].iter().take_while(done).count();
-        let mut rest = self.members[playing.done..].iter().filter(|member| member.takes_part());
+        playing.done += self.members.iter().skip(playing.done).take_while(done).count();
+        let mut rest = self.members.iter().skip(playing.done).filter(|member| member.takes_part());
         rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
     }
 
     /// Whether robots that were left out before this process took over the act may soon report the steps that they played.
-    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &Robots) -> bool {
         let may_answer = |member: &Member| {
             let robot = &robots[member.robot];
             robot.takes_inquiries() && !robot.is_gone() && self.unheard_of(member.robot).is_some()
@@ -338,31 +338,34 @@ impl Act {
 
     /// Brings forward the next check, if a member needs an earlier one. The member reports by itself and now plays another script. The
     /// checks of the other members are unchanged.
-    fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
-        let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
+    fn watch_for(&mut self, member: MemberIndex, robots: &Robots) {
+        let Some(PromisedStage::Playing(Playing { watch: Some(watch), grace, .. })) = self.stage.promised()
+        else {
+            return;
+        };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();
         let next = next.map_or(*watch, |next| next.min(*watch));
-        if let Stage::Playing(playing) = &mut self.stage {
+        if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
             playing.watch = Some(next);
         }
     }
 
     /// Checks single robots, by their own clocks, before the act plays on all of them. Finds overdue reports, and lapsed scripts (whose
     /// fate can no longer be learned).
-    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = self.refill_lapsed(now, robots);
         actions.extend(self.ask_for_overdue(now, robots));
         actions
     }
 
-    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let lapsed = self.lapse(now, robots);
         if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
     /// Marks scripts whose time has passed as lapsed (of unknown fate), on robots that cannot report it. Returns those robots.
-    fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
-        let Some(timing) = &self.timing else { return Vec::new() };
+    fn lapse(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<RobotIndex> {
+        let Some(timing) = self.stage.timing() else { return Vec::new() };
         let grace = self.report_grace(robots);
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
@@ -390,12 +393,12 @@ impl Act {
     }
 
     /// Asks robots for overdue reports. A robot that still has not reported after the grace time fails.
-    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
         let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
         let mut ask = Vec::new();
-        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
-        for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
+        let mut failing: Vec<(RobotIndex, FailureKind)> = Vec::new();
+        for (place, member) in self.members.enumerated().filter(|(_, member)| member.takes_part()) {
             let robot = &robots[member.robot];
             // A robot without a link cannot report, nor one that has sent nothing on a new link. A lost link has its own deadline.
             if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
@@ -423,7 +426,7 @@ impl Act {
         }
         let mut actions = Vec::new();
         if !ask.is_empty() {
-            if let Stage::Playing(playing) = &mut self.stage {
+            if let Some(PromisedStage::Playing(playing)) = self.stage.promised_mut() {
                 playing.asked = Some(now);
             }
             for (place, since) in &ask {
@@ -447,7 +450,7 @@ impl Act {
         robot: &RobotState,
         grace: Span,
     ) -> Option<Timestamp<Server>> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         if lost_with_its_process(script, robot) {
             return None;
         }
@@ -472,12 +475,12 @@ impl Act {
     fn watched<'a>(
         &'a self,
         member: &'a Member,
-        robots: &'a [RobotState],
+        robots: &'a Robots,
         grace: Span,
     ) -> impl Iterator<Item = [Timestamp<Server>; 2]> + 'a {
         let robot = &robots[member.robot];
         member.under_way().filter_map(move |(_, script)| {
-            if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
+            if let Some(at) = lapses_at(self.timing()?, script, robot, grace) {
                 return Some([at; 2]);
             }
             let asked = self.report_due(member, script, robot, grace)?;
@@ -486,7 +489,7 @@ impl Act {
         })
     }
 
-    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
+    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &Robots) -> Timestamp<Server> {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| self.watched(member, robots, grace));
         let answered = Some(self.since + REPORT_GRACE).filter(|_| self.awaits_those_left_out(now, robots));
@@ -502,20 +505,21 @@ impl Act {
 
     /// Returns the interval until the next check. It is short while a robot that does not report by itself owes an answer or must be sent
     /// a script again.
-    fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
+    fn patience_with_silent_ones(&self, robots: &Robots) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
-        let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
+        let asked =
+            matches!(self.stage.promised(), Some(PromisedStage::Playing(Playing { asked: Some(_), .. })));
         let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
         let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
         if silent && (asked || planned) {
-            ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+            ASK_AGAIN.max(longest_round_trip(self, robots))
         } else {
             Span::from_millis(3_600_000)
         }
     }
 
     /// Returns how long after an event a robot's report of it may still arrive.
-    pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
+    pub(crate) fn report_grace(&self, robots: &Robots) -> Span {
         longest_round_trip(self, robots) * 2 + REPORT_GRACE
     }
 
@@ -524,13 +528,13 @@ impl Act {
     /// handle such a robot.
     pub(crate) fn gives_up(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
         patience: Span,
     ) -> Option<Timestamp<Server>> {
         let member = self.member(robot).filter(|_| self.is_committed())?;
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let grace = self.report_grace(robots);
         let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
             let begins = timing.start + script.plan.start.span();
@@ -543,8 +547,8 @@ impl Act {
     }
 
     /// Returns the shortest lease under which a robot now plays scripts of this act; `None` if it does not, or without a lease.
-    pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
-        let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
+    pub(crate) fn running_lease(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Span> {
+        let timing = self.timing().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begins = |script: &Script| timing.start + script.plan.start.span();
         if member.firsts().map(begins).min().is_none_or(|first| now < first) {
@@ -568,20 +572,20 @@ impl Act {
     }
 
     /// Returns the next time after `now` at which a script that a robot holds begins; `None` if there is no such script.
-    pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let start = self.timing.as_ref()?.start;
+    pub(crate) fn next_begin(&self, robot: RobotIndex, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        let start = self.timing()?.start;
         let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
     /// Returns the shortest lease that applies to a script from now on.
     pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
-        self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
+        self.members[script.member].shortest_lease(script.script, self.timing()?)
     }
 
     /// Returns the shortest lease of this act that must be renewed between two rounds of questions.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let before = (!self.is_playing()).then_some(timing.lead.lease);
         let leases = self.present().flat_map(|member| {
             let out = member.under_way().filter(|(_, script)| script.is_out());
@@ -591,15 +595,15 @@ impl Act {
     }
 
     /// Requests those sensor readings of the scenario that are due.
-    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let mut actions = Vec::new();
         while self.reading_due().is_some_and(|due| now >= due) {
             let which = self.readings_asked;
             self.readings_asked += 1;
             let planned = &self.written().readings[which];
             let what = Reading::Planned(self.number, which);
-            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
-            let robot = robots.iter().position(|state| state.id == planned.robot);
+            let left_out = |robot: RobotIndex| self.member(robot).is_some_and(|member| !member.takes_part());
+            let robot = robots.position(|state| state.id == planned.robot);
             let robot = robot.filter(|robot| !left_out(*robot));
             let sensor = planned.sensor.clone();
             actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
@@ -609,12 +613,12 @@ impl Act {
 
     pub(super) fn reading_due(&self) -> Option<Timestamp<Server>> {
         let planned = self.written().readings.get(self.readings_asked)?;
-        Some(self.timing.as_ref()?.start + planned.at)
+        Some(self.timing()?.start + planned.at)
     }
 
     /// Stores a reading that the scenario requested.
     pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
-        if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
+        if let Some(planned) = self.choreography.acts[self.index.get()].readings.get(which) {
             let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
             self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
         }
@@ -698,6 +702,6 @@ pub(super) fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestam
     start + script.plan.start.span() + script.duration()
 }
 
-fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {
+fn longest_round_trip(act: &Act, robots: &Robots) -> Span {
     act.present().map(|member| robots[member.robot].round_trip()).max().unwrap_or_default()
 }

@@ -4,13 +4,14 @@
 use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
 use super::approaching::Approach;
-use super::{Act, ActAction, Member, Stage, Timing};
+use super::member::present;
+use super::{Act, ActAction, Member, Members, Promised, PromisedStage, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::{Promise, PromisedScript, Record};
-use crate::robot_state::RobotState;
+use crate::robot_state::{RobotState, Robots};
 use crate::script::{Script, ScriptRef};
 use crate::skew::SkewBudget;
-use crate::{Outcome, Progress};
+use crate::{ActNumber, Outcome, Progress, RobotIndex};
 
 /// If a decision is overdue by more than this, the cause is a delay of this machine.
 pub(super) const HELD_UP: Span = Span::from_millis(20);
@@ -26,7 +27,7 @@ enum Asked {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Preparing {
     asked: Asked,
-    /// All members before this index have accepted all their scripts.
+    /// Number of leading members that have accepted all their scripts.
     accepted: usize,
 }
 
@@ -73,14 +74,15 @@ impl Act {
     pub(crate) fn promise(
         &mut self,
         timing: Timing,
-        robots: &[RobotState],
+        robots: &Robots,
         session: Option<&SessionId>,
         shift_of: impl Fn(&RobotState) -> Span,
-    ) -> (Vec<(usize, RequestId, ScriptRef)>, Vec<ActAction>) {
+    ) -> (Vec<(RobotIndex, RequestId, ScriptRef)>, Vec<ActAction>) {
         let session = session.map(|session| format!("{session}/")).unwrap_or_default();
         let micros = timing.timestamp.as_nanos() / 1_000;
         let mut names = Vec::new();
-        for (m, member) in self.members.iter_mut().enumerate() {
+        for m in self.members.indices() {
+            let member = &mut self.members[m];
             member.shift = shift_of(&robots[member.robot]);
             member.clock_steps = Some(robots[member.robot].clock.steps());
             for s in 0..member.scripts().len() {
@@ -101,12 +103,11 @@ impl Act {
             slowest: timing.slowest.clone().map(|(robot, _)| robot),
         };
         let promise = self.promised(&timing, robots);
-        self.timing = Some(timing);
-        self.stage = Stage::Promised;
+        self.stage = Stage::Promised(Promised { timing, stage: PromisedStage::Recording });
         (names, vec![ActAction::Record(Record::Prepared(promise)), ActAction::Tell(tell)])
     }
 
-    fn promised(&self, timing: &Timing, robots: &[RobotState]) -> Promise {
+    fn promised(&self, timing: &Timing, robots: &Robots) -> Promise {
         let script = |member: &Member, script: &Script| {
             Some(PromisedScript {
                 robot: robots[member.robot].id.clone(),
@@ -132,19 +133,9 @@ impl Act {
         }
     }
 
-    /// Withdraws the act if the disk is so slow that the promise is not stored by the time of the decision.
-    pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
-        match &self.timing {
-            Some(timing) if now >= timing.decision => {
-                vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })]
-            }
-            _ => Vec::new(),
-        }
-    }
-
     /// Sends the requests, because the promise is on disk.
     pub(super) fn open(&mut self) -> Vec<ActAction> {
-        self.stage = Stage::Preparing(Preparing { asked: Asked::Once, accepted: 0 });
+        self.enter(PromisedStage::Preparing(Preparing { asked: Asked::Once, accepted: 0 }));
         vec![ActAction::Refill(self.present().map(|member| member.robot).collect())]
     }
 
@@ -155,23 +146,26 @@ impl Act {
 
     /// Decides whether the act starts, as soon as all robots have accepted or when the decision is due. It starts only if every robot has
     /// accepted all its scripts; otherwise, none starts.
-    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
+    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
+        let Stage::Promised(Promised { timing, stage: PromisedStage::Preparing(preparing) }) =
+            &mut self.stage
+        else {
             return Vec::new();
         };
+        let (timing, members) = (&*timing, &self.members);
         // Each event checks from the first member that has not accepted.
         let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
-        preparing.accepted += self.members[preparing.accepted..].iter().take_while(accepted).count();
-        let all = preparing.accepted == self.members.len();
+        preparing.accepted += members.iter().skip(preparing.accepted).take_while(accepted).count();
+        let all = preparing.accepted == members.len();
         if !all && now < timing.decision {
             if preparing.asked == Asked::Again || now < timing.ask_again() {
                 return Vec::new();
             }
             preparing.asked = Asked::Again;
-            return unanswered(self.number, timing, &self.members, robots);
+            return unanswered(self.number, timing, members, robots);
         }
-        if self.present().next().is_none() {
-            self.stage = Stage::Deserted;
+        if present(members).next().is_none() {
+            self.enter(PromisedStage::Deserted);
             return Vec::new();
         }
         // A late decision would leave too little time for the leases to end before the start.
@@ -184,7 +178,7 @@ impl Act {
                 had_time || robots[member.robot].broken().is_some()
             };
             let slow: Vec<&Member> =
-                self.present().filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
+                present(members).filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
             if slow.is_empty() {
                 return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
             }
@@ -197,17 +191,17 @@ impl Act {
         self.decide(now, robots)
     }
 
-    fn decide(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+    fn decide(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
         let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
         let early = shown.map(|shown| self.allow_for_shown(now, &shown, robots)).unwrap_or_default();
         if !early.is_empty() {
             return vec![ActAction::Fail(early)];
         }
-        let Some(timing) = &mut self.timing else { return Vec::new() };
+        let Some(timing) = self.stage.timing_mut() else { return Vec::new() };
         timing.accepted_at = Some(now);
         let (start, doubt) = (timing.start, timing.doubt());
         tracing::info!(%start, "decided");
-        self.stage = Stage::Approaching(Approach::beginning(now));
+        self.enter(PromisedStage::Approaching(Approach::beginning(now)));
         let unnamed = self.present().map(|member| &robots[member.robot]);
         let unnamed = unnamed.filter(|robot| !robot.takes_inquiries()).map(|robot| robot.id.clone());
         let record = Record::Decided { number: self.number, unnamed: unnamed.collect(), doubt };
@@ -217,11 +211,19 @@ impl Act {
 
     /// Returns the progress that is reported at the decision. A process that takes over the act before its commitment also reports it.
     pub(crate) fn decided(&self) -> Option<Progress> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
         let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
         Some(Progress::Decided { act: self.name(), start, duration, leases_end, no_return, doubt })
     }
+}
+
+/// Withdraws the act if the disk is so slow that the promise is not stored by the time of the decision.
+pub(super) fn await_promise(now: Timestamp<Server>, timing: &Timing) -> Vec<ActAction> {
+    if now < timing.decision {
+        return Vec::new();
+    }
+    vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })]
 }
 
 /// Whether a robot has had at least half of the preparation time to accept its scripts. If the disk stored the promise late, it has had
@@ -232,10 +234,10 @@ fn has_had_time(now: Timestamp<Server>, member: &Member, timing: &Timing) -> boo
 }
 
 /// Returns the unanswered requests, to be sent again in case they were lost.
-fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
+fn unanswered(act: ActNumber, timing: &Timing, members: &Members, robots: &Robots) -> Vec<ActAction> {
     let waits =
         |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();
-    let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
+    let waiting = members.enumerated().filter(|(_, member)| waits(member));
     let open = waiting.flat_map(|(m, member)| member.unaccepted(timing).map(move |(s, _)| (m, s)));
     open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()
 }

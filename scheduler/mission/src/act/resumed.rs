@@ -8,13 +8,15 @@ use urrcp::{RequestId, Server, Span, Timestamp};
 
 use super::approaching::Approach;
 use super::member::{Part, members_among};
+use super::playing::Playing;
 use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
-use super::{Act, Member, Stage, Timing, places};
+use super::{Act, Member, Promised, PromisedStage, Stage, Timing, places};
 use crate::lead::LeadTime;
 use crate::record::{Promise, PromisedScript};
 use crate::resume::Changed;
-use crate::robot_state::{RobotState, Standing};
+use crate::robot_state::{Robots, Standing};
 use crate::script::ScriptRef;
+use crate::{MemberIndex, RobotIndex};
 
 /// The last step that the other process completed for an act before it died.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,11 +40,11 @@ impl Act {
         choreography: Arc<Choreography>,
         promise: &Promise,
         reached: Reached,
-        robots: &[RobotState],
+        robots: &Robots,
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
-        if promise.act >= choreography.acts.len() {
-            return Err(Changed { what: format!("act {} no longer exists", promise.act + 1) });
+        if promise.act.get() >= choreography.acts.len() {
+            return Err(Changed { what: format!("act {} no longer exists", promise.act.get() + 1) });
         }
         let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
         // The members include robots that were left out after the promise: the report contains the steps that they played.
@@ -73,21 +75,19 @@ impl Act {
                 member.taken_up(index, id, (promised.shift, robot.settings.clock));
             }
         }
-        act.timing = Some(act.timing_of(promise));
         act.attempts = promise.prepared_again;
-        act.stage = match reached {
-            Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
+        let timing = act.timing_of(promise);
+        let stage = match reached {
+            Reached::Decision => PromisedStage::Approaching(Approach::taken_up(now)),
             // The commitment is written ahead of time, and was not sent yet.
-            Reached::Commitment if act.timing.as_ref().is_some_and(|timing| now < timing.critical()) => {
+            Reached::Commitment if now < timing.critical() => {
                 let mut approach = Approach::taken_up(now);
                 approach.recorded();
-                Stage::Approaching(approach)
+                PromisedStage::Approaching(approach)
             }
-            Reached::Commitment => {
-                act.begin(now);
-                act.stage
-            }
+            Reached::Commitment => PromisedStage::Playing(Playing::beginning(now)),
         };
+        act.stage = Stage::Promised(Promised { timing, stage });
         Ok(act)
     }
 
@@ -95,7 +95,7 @@ impl Act {
     /// silence may be noticed too late. This process cannot recompute it, because it does not know the leases and links of that time.
     pub(crate) fn keep_doubt(&mut self, stated: Option<Span>) {
         let plays = self.is_playing();
-        if let Some(timing) = self.timing.as_mut().filter(|_| plays) {
+        if let Some(timing) = self.stage.timing_mut().filter(|_| plays) {
             timing.stated_doubt = stated;
         }
     }
@@ -121,7 +121,7 @@ impl Act {
 
     /// Marks scripts whose planned start has passed as possibly sent. Their robots are asked about all of them at once.
     pub(crate) fn note_as_sent_until(&mut self, now: Timestamp<Server>) {
-        let Some(start) = self.timing.as_ref().map(|timing| timing.start) else { return };
+        let Some(start) = self.timing().map(|timing| timing.start) else { return };
         for member in &mut self.members {
             for index in 0..member.scripts().len() {
                 let script = &member.scripts()[index];
@@ -138,14 +138,14 @@ impl Act {
     }
 
     /// Returns the ids of all requests of the act, each with its robot and its script.
-    pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
-        let of_member = |(m, member): (usize, &super::Member)| {
+    pub(crate) fn all_names(&self) -> Vec<(RobotIndex, RequestId, ScriptRef)> {
+        let of_member = |(m, member): (MemberIndex, &Member)| {
             let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {
                 let reference = ScriptRef { act: self.number, member: m, script: s };
                 Some((member.robot, script.request_id()?.clone(), reference))
             });
             named.collect::<Vec<_>>()
         };
-        self.members.iter().enumerate().flat_map(of_member).collect()
+        self.members.enumerated().flat_map(of_member).collect()
     }
 }

@@ -3,13 +3,13 @@
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
-use super::{Act, ActAction, Member, Stage};
-use crate::ClockMode;
+use super::{Act, ActAction, Member, Promised, PromisedStage, Stage};
 use crate::clock::DRIFT_BOUND;
 use crate::failure_kind::FailureKind;
-use crate::robot_state::RobotState;
+use crate::robot_state::Robots;
 use crate::script::{Script, ScriptState};
 use crate::skew::SkewBudget;
+use crate::{ClockMode, RobotIndex};
 
 /// The maximum error of a robot's timestamp because its clock is coarse.
 const GRAIN: Span = Span::from_millis(5);
@@ -18,8 +18,9 @@ impl Act {
     /// Returns members that would start too far from the others, because their clock has strayed since the act was sent. A robot whose
     /// clock was set forward may start before the commitment. It is therefore reported as soon as its clock shows this, not only at the
     /// commitment.
-    pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
-        if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
+    pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &Robots) -> Vec<(RobotIndex, FailureKind)> {
+        use PromisedStage::{Approaching, Preparing, Recording};
+        if !matches!(self.stage.promised(), Some(Recording | Preparing(_) | Approaching(_))) {
             return Vec::new();
         }
         let tolerance = self.written().plan.start_tolerance;
@@ -33,10 +34,10 @@ impl Act {
     pub(crate) fn clock_was_set(
         &self,
         now: Timestamp<Server>,
-        robot: usize,
-        robots: &[RobotState],
+        robot: RobotIndex,
+        robots: &Robots,
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let timing = self.timing().filter(|_| self.is_committed())?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         if member.clock_steps == Some(robots[robot].clock.steps()) {
             return None;
@@ -53,13 +54,8 @@ impl Act {
     }
 
     /// Returns how far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
-    fn deviation(
-        &self,
-        member: &Member,
-        now: Timestamp<Server>,
-        robots: &[RobotState],
-    ) -> Option<(Span, Span)> {
-        let timing = self.timing.as_ref()?;
+    fn deviation(&self, member: &Member, now: Timestamp<Server>, robots: &Robots) -> Option<(Span, Span)> {
+        let timing = self.timing()?;
         let state = &robots[member.robot];
         let reading = state.clock_at(now)?;
         let known = timing.skew.as_ref().and_then(|skew| skew.offset_of(&state.id));
@@ -85,7 +81,7 @@ impl Act {
         &self,
         member: &Member,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
     ) -> Option<(Span, Span)> {
         if member.clock_steps.is_some() {
             return Some((Span::ZERO, Span::ZERO));
@@ -105,8 +101,8 @@ impl Act {
     fn by_index(
         &self,
         failing: Vec<(RobotId, FailureKind)>,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
         let index_of = |id| self.present().map(|member| member.robot).find(|robot| robots[*robot].id == id);
         failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
     }
@@ -114,19 +110,19 @@ impl Act {
     /// Adapts the leases of an act that approaches its start, if a clock is found to have changed since the act was sent. The limits for
     /// failures and silence move with the end of the leases, and are returned as progress to report. If there is no time left to end a
     /// lease before its robot starts, that robot fails.
-    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        if !matches!(self.stage, Stage::Approaching(_)) {
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &Robots) -> Vec<ActAction> {
+        let Stage::Promised(Promised { timing, stage: PromisedStage::Approaching(_) }) = &self.stage else {
             return Vec::new();
-        }
+        };
         let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
         let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
-        let (Some(timing), Some(shown)) = (&self.timing, shown) else { return Vec::new() };
+        let Some(shown) = shown else { return Vec::new() };
         let before = (timing.no_return(), timing.doubt());
         let early = self.allow_for_shown(now, &shown, robots);
         if !early.is_empty() {
             return vec![ActAction::Fail(early)];
         }
-        let Some(timing) = &self.timing else { return Vec::new() };
+        let Some(timing) = self.timing() else { return Vec::new() };
         let changed = before != (timing.no_return(), timing.doubt());
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }
@@ -137,9 +133,9 @@ impl Act {
         &mut self,
         now: Timestamp<Server>,
         shown: &SkewBudget,
-        robots: &[RobotState],
-    ) -> Vec<(usize, FailureKind)> {
-        let Some(timing) = &mut self.timing else { return Vec::new() };
+        robots: &Robots,
+    ) -> Vec<(RobotIndex, FailureKind)> {
+        let Some(timing) = self.stage.timing_mut() else { return Vec::new() };
         if timing.allow_for(now, shown.early_and_late()) {
             return Vec::new();
         }
@@ -153,12 +149,19 @@ impl Act {
     pub(crate) fn ran_out(
         &self,
         now: Timestamp<Server>,
-        robot: usize,
+        robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref().filter(|timing| now <= timing.no_return())?;
-        let waits = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_));
-        let member = self.member(robot).filter(|member| waits && member.takes_part())?;
+        use PromisedStage::{Approaching, Committed, Preparing};
+        let Stage::Promised(Promised { timing, stage: Preparing(_) | Approaching(_) | Committed(_) }) =
+            &self.stage
+        else {
+            return None;
+        };
+        if now > timing.no_return() {
+            return None;
+        }
+        let member = self.member(robot).filter(|member| member.takes_part())?;
         let lease = timing.lead.lease;
         let unreached = |script: &Script| Some(at - script.accepted_at()?.max(before));
         let over = |script: &&Script| {
@@ -172,10 +175,10 @@ impl Act {
     /// running lease. The robot has dropped that script, and all following scripts of its device. The two instants are by its clock.
     pub(crate) fn broke_off(
         &self,
-        robot: usize,
+        robot: RobotIndex,
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> Option<FailureKind> {
-        let timing = self.timing.as_ref()?;
+        let timing = self.timing()?;
         let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
         member.under_way().filter(|(_, script)| script.is_unaccounted()).find_map(|(_, script)| {
             let lease = script.longest_lease()?;

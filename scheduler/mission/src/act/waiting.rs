@@ -4,9 +4,9 @@ use downbeat_plan::{Wait, Way};
 use urrcp::{Server, Span, Timestamp};
 
 use super::{Act, ActAction, Stage, act_name};
-use crate::robot_state::{Reading, RobotState};
+use crate::robot_state::{Reading, Robots};
 use crate::zone::SkippedTime;
-use crate::{MissionOptions, Progress};
+use crate::{ActIndex, MissionOptions, Progress};
 
 /// Interval between readings of a sensor that an act waits for.
 const POLL: Span = Span::from_millis(100);
@@ -29,12 +29,12 @@ impl Act {
     pub(super) fn wait(
         &mut self,
         now: Timestamp<Server>,
-        robots: &[RobotState],
+        robots: &Robots,
         options: &MissionOptions,
     ) -> Vec<ActAction> {
         let fixed = self.fixed_target(options).map(instant_of);
         let Stage::Waiting(waiting) = &mut self.stage else { return Vec::new() };
-        let written = &self.choreography.acts[self.index];
+        let written = &self.choreography.acts[self.index.get()];
         if let Some(fixed) = fixed {
             // An act begins after the end of the previous act, even if it was planned earlier.
             let target = Some(self.before.map_or(fixed, |end| end.max(fixed)));
@@ -56,7 +56,7 @@ impl Act {
             }
             Wait::Sensor { robot, sensor, .. } if waiting.poll.is_none_or(|at| now >= at) => {
                 waiting.poll = Some(now + POLL);
-                let robot = robots.iter().position(|state| state.id.as_str() == robot);
+                let robot = robots.position(|state| state.id.as_str() == robot);
                 let what = Reading::Wait(self.number);
                 let read = |(robot, sensor)| ActAction::Read { robot, sensor, what };
                 robot.zip(sensor.parse().ok()).map(read).into_iter().collect()
@@ -96,7 +96,7 @@ impl Act {
 
     /// Processes a reading that the act may wait for. Returns the progress to report.
     pub(crate) fn sensor_read(&mut self, value: Option<f64>) -> Option<Progress> {
-        let Wait::Sensor { range, .. } = &self.choreography.acts[self.index].wait else { return None };
+        let Wait::Sensor { range, .. } = &self.choreography.acts[self.index.get()].wait else { return None };
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
         let before = std::mem::replace(&mut waiting.read, value);
         if value.is_some_and(|value| range.contains(value)) {
@@ -143,7 +143,10 @@ impl Act {
             (Some(timeout), Way::End) => format!("{awaits}, for at most {timeout}, then the mission ends"),
             (Some(timeout), Way::Fail) => format!("{awaits}, for at most {timeout}"),
             (Some(timeout), Way::Act(other)) => {
-                format!("{awaits}, for at most {timeout}, then `{}`", act_name(&self.choreography, other))
+                format!(
+                    "{awaits}, for at most {timeout}, then `{}`",
+                    act_name(&self.choreography, ActIndex::new(other))
+                )
             }
         };
         Some(Progress::Waiting { act: self.name(), awaits, at: fixed.map(instant_of) })

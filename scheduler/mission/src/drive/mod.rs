@@ -25,7 +25,7 @@ use urrcp::{Message, Server, Span, Timestamp};
 pub use self::links::LinkNumber;
 use self::links::Links;
 use crate::report::Report;
-use crate::{Action, Event, Loss, Mission, Progress, Record};
+use crate::{Action, Event, Loss, Mission, Progress, Record, RobotIndex};
 
 /// The maximum number of events taken before the mission's timers are checked again.
 const ROUND_MAX: usize = 1_024;
@@ -41,7 +41,7 @@ pub trait World {
 
     /// Starts to connect to a robot after the pause `after`. Events of the new connection carry the number `link`. An older link to the
     /// robot is closed.
-    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span);
+    fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span);
 
     /// Sends a message on a link. A message that is not urgent may wait behind others. Never blocks the caller.
     ///
@@ -49,14 +49,14 @@ pub trait World {
     /// [`QueueFull`] if too many messages already wait. The message is lost, and the link can no longer be used.
     fn send(
         &mut self,
-        robot: usize,
+        robot: RobotIndex,
         link: LinkNumber,
         message: Message,
         urgency: Urgency,
     ) -> Result<(), QueueFull>;
 
     /// Closes a link and discards the messages that wait to be sent on it.
-    fn cut(&mut self, robot: usize, link: LinkNumber);
+    fn cut(&mut self, robot: RobotIndex, link: LinkNumber);
 
     /// Passes a record to the journal, without waiting for the disk.
     fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed;
@@ -107,7 +107,7 @@ pub enum Happened {
         /// The time of the event, by the server's clock.
         at: Timestamp<Server>,
         /// Index of the robot.
-        robot: usize,
+        robot: RobotIndex,
         /// The number of the link.
         link: LinkNumber,
         /// The event for the mission.
@@ -129,7 +129,7 @@ pub enum Happened {
 /// Drives a mission to its end and returns its report. `None` if its process is killed before the end.
 pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Report> {
     let mut driver = Driver::new(mission.robots().len());
-    for robot in 0..mission.robots().len() {
+    for robot in mission.robots().indices() {
         let link = driver.links.connect(robot);
         world.connect(robot, link, Span::ZERO);
     }
@@ -228,7 +228,7 @@ impl Driver {
     }
 
     /// Sends a message. A message on a broken link is lost; the mission receives an event about the break.
-    fn send<W: World>(&mut self, world: &mut W, robot: usize, message: Message, urgency: Urgency) {
+    fn send<W: World>(&mut self, world: &mut W, robot: RobotIndex, message: Message, urgency: Urgency) {
         let Some(link) = self.links.of(robot) else { return };
         if let Err(full) = world.send(robot, link, message, urgency) {
             world.cut(robot, link);

@@ -6,7 +6,8 @@ use urrcp::{
 };
 
 use super::*;
-use crate::{Greeting, MissionOptions, Participant, Rest};
+use crate::bench::{R0, R1, R2};
+use crate::{ActNumber, Greeting, MissionOptions, Participant, Rest};
 
 const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
 
@@ -58,7 +59,7 @@ struct Silent {
     journal: Filed,
     cut: Vec<LinkNumber>,
     /// The robots to which a connection was begun, each with the pause before it.
-    connected: Vec<(usize, Span)>,
+    connected: Vec<(RobotIndex, Span)>,
     told: Vec<Progress>,
     /// An event that happens once a script has been sent.
     once_it_sends: Option<Event>,
@@ -80,7 +81,7 @@ impl Silent {
     }
 
     fn on_link(&mut self, link: LinkNumber, event: Event) {
-        self.happens.push_back(Happened::OnLink { at: self.now, robot: 0, link, event: Box::new(event) });
+        self.happens.push_back(Happened::OnLink { at: self.now, robot: R0, link, event: Box::new(event) });
     }
 }
 
@@ -97,13 +98,13 @@ impl World for Silent {
         happened
     }
 
-    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+    fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span) {
         self.connected.push((robot, after));
         self.now = self.now + after;
-        self.on_link(link, Event::LinkUp { robot: 0 });
+        self.on_link(link, Event::LinkUp { robot: R0 });
     }
 
-    fn send(&mut self, _: usize, _: LinkNumber, message: Message, _: Urgency) -> Result<(), QueueFull> {
+    fn send(&mut self, _: RobotIndex, _: LinkNumber, message: Message, _: Urgency) -> Result<(), QueueFull> {
         if let Message::ControlRequest(request) = &message {
             let happens = self.once_it_sends.take();
             self.happens
@@ -116,7 +117,7 @@ impl World for Silent {
         Ok(())
     }
 
-    fn cut(&mut self, _: usize, link: LinkNumber) {
+    fn cut(&mut self, _: RobotIndex, link: LinkNumber) {
         self.cut.push(link);
     }
 
@@ -147,28 +148,28 @@ fn links_to_all_robots_are_opened_before_any_event_on_one_of_them() {
     let mut world = Silent::new(0, Filed::AtOnce);
     world.happens.push_back(Happened::Left);
     at_once(drive(&mut mission_of(&["r", "s", "t"], MissionOptions::default()), &mut world)).unwrap();
-    assert_eq!(world.connected, [0, 1, 2].map(|robot| (robot, Span::ZERO)));
+    assert_eq!(world.connected, [R0, R1, R2].map(|robot| (robot, Span::ZERO)));
 }
 
 #[test]
 fn events_on_a_broken_or_replaced_link_are_ignored() {
     let mut links = Links::new(1);
-    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: String::new() };
-    let up = Event::LinkUp { robot: 0 };
-    let first = links.connect(0);
-    assert!(links.takes(0, first, &up) && links.takes(0, first, &down));
-    assert!(!links.takes(0, first, &down) && !links.takes(0, first, &up), "its end is its end");
-    let second = links.connect(0);
-    assert!(!links.takes(0, first, &up) && links.takes(0, second, &up));
-    let third = links.connect(0);
-    assert!(!links.takes(0, second, &down) && links.takes(0, third, &down));
+    let down = Event::LinkDown { robot: R0, loss: Loss::Closed, reason: String::new() };
+    let up = Event::LinkUp { robot: R0 };
+    let first = links.connect(R0);
+    assert!(links.takes(R0, first, &up) && links.takes(R0, first, &down));
+    assert!(!links.takes(R0, first, &down) && !links.takes(R0, first, &up), "its end is its end");
+    let second = links.connect(R0);
+    assert!(!links.takes(R0, first, &up) && links.takes(R0, second, &up));
+    let third = links.connect(R0);
+    assert!(!links.takes(R0, second, &down) && links.takes(R0, third, &down));
 }
 
 #[test]
 fn lost_journal_is_reported_once_and_stops_the_mission() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::Lost("full".to_owned()));
-    let record = || Record::Decided { number: 0, unnamed: Vec::new(), doubt: Span::ZERO };
+    let record = || Record::Decided { number: ActNumber::new(0), unnamed: Vec::new(), doubt: Span::ZERO };
     driver.perform(&mut world, vec![Action::Record(record()), Action::Record(record())]);
     let events: Vec<Event> = driver.pending.into_iter().map(|(_, event)| event).collect();
     assert!(matches!(&events[..], [Event::JournalLost { reason }] if reason == "full"), "{events:?}");
@@ -179,9 +180,9 @@ fn only_durable_records_are_counted_without_a_journal() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::AtOnce);
     let records = [
-        Record::Committed { number: 0 },
+        Record::Committed { number: ActNumber::new(0) },
         Record::StopConfirmed { robot: RobotId::new("r").unwrap() },
-        Record::Committed { number: 1 },
+        Record::Committed { number: ActNumber::new(1) },
     ];
     driver.perform(&mut world, records.into_iter().map(Action::Record).collect());
     let counts: Vec<u64> = driver

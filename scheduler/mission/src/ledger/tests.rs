@@ -9,8 +9,9 @@ use urrcp::{Span, Status};
 use super::*;
 use crate::act::Timing;
 use crate::act::timing::{Leases, Measured, Pace};
-use crate::bench::{self, Planned, Tells, at, ms, response};
+use crate::bench::{self, Planned, R0, Tells, at, ms, response};
 use crate::lead::LeadTime;
+use crate::{ActIndex, ActNumber, MemberIndex};
 
 /// Whether an act's requests may be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,16 +21,17 @@ enum Open {
 }
 
 /// An act of one robot. `scripts` contains each device and the number of scripts that it plays.
-fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]) -> Act {
+fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &Robots) -> Act {
     let planned: Vec<Planned> = scripts
         .iter()
         .flat_map(|(device, count)| (0..*count).map(move |index| (*device, 10 * index as i64, 10)))
         .collect();
-    let act = Act::new(bench::played(&[&planned]), 0, number, robots, at(0), None);
+    let act =
+        Act::new(bench::played(&[&planned]), ActIndex::new(0), ActNumber::new(number), robots, at(0), None);
     if open == Open::Yes { opened(act, robots) } else { act }
 }
 
-fn opened(mut act: Act, robots: &[RobotState]) -> Act {
+fn opened(mut act: Act, robots: &Robots) -> Act {
     let _ = act.advance(at(0), robots, &crate::MissionOptions::default());
     let _ = act.promise(timing(at(0)), robots, None, |_| Span::ZERO);
     let _ = act.recorded();
@@ -57,17 +59,17 @@ fn timing(now: urrcp::Timestamp<urrcp::Server>) -> Timing {
     Timing::new(now, lead, pace, ms(100))
 }
 
-fn robots(queue: usize) -> Vec<RobotState> {
-    vec![bench::robot("r0", Tells::Everything, queue)]
+fn robots(queue: usize) -> Robots {
+    vec![bench::robot("r0", Tells::Everything, queue)].into()
 }
 
 /// Sends all scripts that may be sent, and returns them by act and by index in the act. Each script is accepted at once, because the
 /// following scripts of its device wait for that.
-fn send_all(acts: &mut [Act], robots: &[RobotState]) -> Vec<(u32, usize)> {
+fn send_all(acts: &mut [Act], robots: &Robots) -> Vec<(u32, usize)> {
     let mut sent = Vec::new();
     loop {
-        let sendable = sendable(acts, 0, &robots[0]);
-        let now: Vec<_> = sendable.iter().map(|script| (script.act, script.script)).collect();
+        let sendable = sendable(acts, R0, &robots[R0]);
+        let now: Vec<_> = sendable.iter().map(|script| (script.act.get(), script.script)).collect();
         assert!(now.is_sorted(), "in order of start: {now:?}");
         if now.is_empty() {
             return sent;
@@ -81,12 +83,13 @@ fn send_all(acts: &mut [Act], robots: &[RobotState]) -> Vec<(u32, usize)> {
     }
 }
 
-fn ends(acts: &mut [Act], number: u32, script: usize, robots: &[RobotState]) {
+fn ends(acts: &mut [Act], number: u32, script: usize, robots: &Robots) {
+    let number = ActNumber::new(number);
     let act = acts.iter_mut().find(|act| act.number() == number).unwrap();
-    says(act, ScriptRef { act: number, member: 0, script }, Status::Ok, robots);
+    says(act, ScriptRef { act: number, member: MemberIndex::new(0), script }, Status::Ok, robots);
 }
 
-fn says(act: &mut Act, script: ScriptRef, status: Status, robots: &[RobotState]) {
+fn says(act: &mut Act, script: ScriptRef, status: Status, robots: &Robots) {
     let state = act.script(script);
     let said = response(&state.plan.device.clone(), state.request_id(), status, at(2));
     let _ = act.answered(script, &said, at(3_600_000), robots);
@@ -122,20 +125,27 @@ fn at_most_two_long_scripts_are_outstanding_with_a_measured_clock() {
         (ClockMode::Measured, 8_000, 6_000, 4),
         (ClockMode::Measured, 2_000, 4_000, 4),
     ] {
-        robots[0].settings.clock = clock;
+        robots[R0].settings.clock = clock;
         let planned: Vec<Planned> = (0..4).map(|index| ("a", length * index, length)).collect();
         let mut choreography = bench::played(&[&planned]);
         let scripts = &mut Arc::make_mut(&mut choreography).acts[0].plan.robots[0].scripts;
         let lease = Some(urrcp::Millis::from_span(ms(lease)));
         scripts.iter_mut().for_each(|script| script.stop_condition.running = lease);
-        let mut acts = [opened(Act::new(choreography, 0, 0, &robots, at(0), None), &robots)];
+        let mut acts = [opened(
+            Act::new(choreography, ActIndex::new(0), ActNumber::new(0), &robots, at(0), None),
+            &robots,
+        )];
         let sent = send_all(&mut acts, &robots);
         assert_eq!(sent.len(), expected, "{clock:?}, lease {lease:?}, scripts of {length} ms");
         if expected < 4 {
             ends(&mut acts, 0, 0, &robots);
             assert_eq!(send_all(&mut acts, &robots), [(0, 2)]);
             // The fate of the next script is never known, so nothing waits for it.
-            acts[0].mark_unknown(ScriptRef { act: 0, member: 0, script: 1 });
+            acts[0].mark_unknown(ScriptRef {
+                act: ActNumber::new(0),
+                member: MemberIndex::new(0),
+                script: 1,
+            });
             assert_eq!(send_all(&mut acts, &robots), [(0, 3)]);
         }
     }
@@ -155,11 +165,11 @@ fn script_left_on_a_left_out_robot_takes_space_and_no_other_is_sent() {
     let robots = robots(1);
     let mut acts = [act(0, &[("a", 1)], Open::Yes, &robots), act(1, &[("a", 1)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots).len(), 1);
-    acts[0].drop_robot(0);
-    assert_eq!(sendable(&acts, 0, &robots[0]), []);
-    acts[1].drop_robot(0);
+    acts[0].drop_robot(R0);
+    assert_eq!(sendable(&acts, R0, &robots[R0]), []);
+    acts[1].drop_robot(R0);
     ends(&mut acts, 0, 0, &robots);
-    assert_eq!(sendable(&acts, 0, &robots[0]), []);
+    assert_eq!(sendable(&acts, R0, &robots[R0]), []);
 }
 
 #[test]

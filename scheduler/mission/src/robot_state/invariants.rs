@@ -23,11 +23,14 @@ impl RobotState {
         match &self.stop {
             Stop::Sent(sent) => {
                 assert!(sent.at <= now, "{id}: a stop was sent in the past");
-                let asked = sent.unconfirmed.values().all(|device| self.touched.contains(device));
+                let asked = self.requests.stops().all(|(_, device)| self.touched.contains(device));
                 assert!(asked, "{id}: only devices that were sent anything are stopped");
                 assert!(!self.at_rest, "{id}: a robot rests once it has confirmed its stop");
             }
-            Stop::None | Stop::Confirmed(_) => {}
+            Stop::None | Stop::Confirmed(_) => {
+                let open = self.requests.stops().count();
+                assert_eq!(open, 0, "{id}: only a robot that is being stopped owes confirmations");
+            }
         }
         if self.introduced {
             assert!(

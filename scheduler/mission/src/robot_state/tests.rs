@@ -4,6 +4,8 @@ use urrcp::{ErrorCode, Interpolation, StatusValue};
 
 use super::*;
 use crate::bench::{self, Tells, at, ms, response};
+use crate::open_requests::Answered;
+use crate::{ActNumber, MemberIndex};
 
 #[test]
 fn response_settles_its_request_and_all_older_ones() {
@@ -80,10 +82,30 @@ const STOPPED: i64 = 100;
 fn stopped(rest: Rest) -> RobotState {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     robot.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
-    let unconfirmed = ["a", "b"].map(|device| (id(device), device.parse().unwrap())).into();
-    robot.stop =
-        Stop::Sent(SentStop { at: at(STOPPED), rest, unconfirmed, taken_over: None, given_up: false });
+    robot.set_stop(Stop::Sent(SentStop { at: at(STOPPED), rest, taken_over: None, given_up: false }));
+    for device in ["a", "b"] {
+        robot.requests.add_stop(id(device), device.parse().unwrap());
+    }
     robot
+}
+
+/// Passes a response to the robot that arrives at `now`, and returns whether it answers a stop. `open` is the device that has an open
+/// script, if any.
+fn answers_stop(
+    robot: &mut RobotState,
+    now: Timestamp<Server>,
+    response: &ControlResponse,
+    open: Option<&str>,
+) -> bool {
+    let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
+    let open = open.filter(|device| *device == response.device_id.as_str()).map(|_| script);
+    let answered = match &response.request_id {
+        Some(id) => robot.requests.answer_named(id),
+        None => robot.stop_confirmed_without_id(now, response, open).map(Answered::Stop),
+    };
+    let Some(Answered::Stop(id)) = answered else { return false };
+    robot.stop_answered(&id, response);
+    true
 }
 
 fn id(device: &str) -> RequestId {
@@ -99,7 +121,7 @@ fn stop_is_confirmed_when_every_device_has_confirmed_it_by_id() {
     let mut robot = stopped(Rest::Home);
     let confirmed = |robot: &mut RobotState, device: &str, status| {
         let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
-        robot.stop_answered(at(STOPPED + 2), &response, |_| false)
+        answers_stop(robot, at(STOPPED + 2), &response, None)
     };
     assert!(confirmed(&mut robot, "a", Status::Accepted), "it is an answer, and no confirmation");
     assert!(confirmed(&mut robot, "a", Status::Ok));
@@ -116,18 +138,18 @@ fn response_to_another_request_confirms_no_stop() {
     let mut robot = stopped(Rest::InPlace);
     let response =
         response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
-    assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+    assert!(!answers_stop(&mut robot, at(STOPPED + 2), &response, None));
     assert!(robot.awaits_stop());
 }
 
 #[test]
 fn response_without_id_confirms_the_stop_of_its_device_only() {
     let mut robot = stopped(Rest::InPlace);
-    assert!(robot.stop_answered(at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), |_| false));
-    let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
-    assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
-    assert!(!robot.stop_answered(at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), |_| false));
-    assert!(robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Ok, STOPPED + 3), |_| false));
+    assert!(answers_stop(&mut robot, at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), None));
+    assert!(matches!(robot.stop, Stop::Sent(_)), "b has not confirmed");
+    assert_eq!(robot.requests.stops().map(|(id, _)| id).collect::<Vec<_>>(), [&id("b")]);
+    assert!(!answers_stop(&mut robot, at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), None));
+    assert!(answers_stop(&mut robot, at(STOPPED + 4), &without_name("b", Status::Ok, STOPPED + 3), None));
     assert!(robot.is_settled());
 }
 
@@ -135,24 +157,24 @@ fn response_without_id_confirms_the_stop_of_its_device_only() {
 fn ambiguous_or_too_early_response_without_id_confirms_no_stop() {
     let mut robot = stopped(Rest::InPlace);
     let after = without_name("a", Status::Ok, STOPPED + 1);
-    assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
+    assert!(!answers_stop(&mut robot, at(STOPPED + 2), &after, Some("a")));
     let before = without_name("a", Status::Ok, STOPPED - 1);
-    assert!(!robot.stop_answered(at(STOPPED + 2), &before, |_| false));
+    assert!(!answers_stop(&mut robot, at(STOPPED + 2), &before, None));
     // Only the end of a script has a last value and steps.
     let last_value = ControlResponse { status_value: StatusValue::Number(45.0), ..after.clone() };
     let steps = ControlResponse { steps_done: Some(1), ..after.clone() };
     for ended in [last_value, steps] {
-        assert!(!robot.stop_answered(at(STOPPED + 2), &ended, |_| false), "{ended:?}");
+        assert!(!answers_stop(&mut robot, at(STOPPED + 2), &ended, None), "{ended:?}");
     }
     for status in [Status::Accepted, Status::Started, Status::Failed, Status::Provide] {
         let response = ControlResponse {
             error: bench::refusal(ErrorCode::Cancelled),
             ..without_name("a", status, STOPPED + 1)
         };
-        assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+        assert!(!answers_stop(&mut robot, at(STOPPED + 2), &response, None));
     }
     assert!(robot.awaits_stop());
-    assert!(robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "b"));
+    assert!(answers_stop(&mut robot, at(STOPPED + 2), &after, Some("b")));
 }
 
 #[test]
@@ -165,7 +187,7 @@ fn response_time_follows_robot_clock_but_is_never_later_than_now() {
     assert_eq!(said(&robot, 9_000), at(200));
     // By its own clock it was sent long after the stop, but actually before it.
     let response = without_name("a", Status::Ok, 5_000 + STOPPED - 50);
-    assert!(!robot.stop_answered(at(STOPPED + 60), &response, |_| false));
+    assert!(!answers_stop(&mut robot, at(STOPPED + 60), &response, None));
 }
 
 #[test]
@@ -174,7 +196,7 @@ fn no_response_confirms_a_stop_before_one_is_sent() {
     assert!(robot.is_settled(), "it was sent nothing");
     robot.touched.insert("a".parse().unwrap());
     assert!(!robot.is_settled());
-    assert!(!robot.stop_answered(at(1), &without_name("a", Status::Ok, 1), |_| false));
+    assert!(!answers_stop(&mut robot, at(1), &without_name("a", Status::Ok, 1), None));
 }
 
 #[test]

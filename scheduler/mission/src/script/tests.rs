@@ -343,7 +343,7 @@ fn only_a_script_of_another_process_can_be_unreported_since_takeover() {
 fn script_with_a_completed_step_has_begun() {
     let mut script = sent();
     assert!(!script.has_begun());
-    script.steps_done = 1;
+    script.steps.done = 1;
     assert!(script.has_begun());
 }
 

@@ -42,10 +42,10 @@ fn act_withdrawn_before_any_motion_is_prepared_again_with_a_longer_lead() {
         assert_eq!(played.run_to_the_end(), Outcome::Done, "{tells:?}");
         assert_eq!(played.starts(), 2, "{tells:?}");
         let [report] = &*played.mission.reports.make_contiguous() else { panic!("one act was played") };
-        assert_eq!((report.number, report.prepared_again), (1, 1), "{tells:?}");
-        let totals = &played.mission.robots[0].totals;
+        assert_eq!((report.number.get(), report.prepared_again), (1, 1), "{tells:?}");
+        let totals = &played.mission.robots[R0].totals;
         assert_eq!((totals.scripts, totals.steps_planned), (1, totals.steps_done), "{tells:?}");
-        assert_eq!(played.mission.fates[0].played, 1);
+        assert_eq!(played.mission.fates[ActIndex::new(0)].played, 1);
     }
 }
 
@@ -92,7 +92,7 @@ fn act_prepared_again_does_not_repeat_its_wait() {
 #[test]
 fn act_with_an_exact_start_time_is_not_prepared_again() {
     let mut mission = begins_at_once(Everything);
-    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_000) });
+    mission.options.fixed.operator = Some(FixedStart { act: ActIndex::new(0), at: at(1_000) });
     let mut played = Played::begun(mission);
     played.is_withdrawn();
     assert_eq!(played.run_to_the_end(), LATE);
@@ -102,7 +102,7 @@ fn act_with_an_exact_start_time_is_not_prepared_again() {
 /// milliseconds.
 fn is_late_for_its_start(within: i64) -> Played {
     let mut mission = begins_at_once(Everything);
-    let start = FixedStart { act: 0, at: at(2_000) };
+    let start = FixedStart { act: ActIndex::new(0), at: at(2_000) };
     mission.options.fixed = FixedStarts { operator: Some(start), within: ms(within) };
     let mut played = Played::begun(mission);
     played.run_until(at(1_995));
@@ -122,7 +122,7 @@ fn act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
 #[test]
 fn next_attempt_does_not_start_before_the_fixed_time() {
     let mut mission = begins_at_once(Everything);
-    let start = FixedStart { act: 0, at: at(5_000) };
+    let start = FixedStart { act: ActIndex::new(0), at: at(5_000) };
     mission.options.fixed = FixedStarts { operator: Some(start), within: ms(1_000) };
     let mut played = Played::begun(mission);
     played.run_until(at(2_000));
@@ -136,7 +136,7 @@ fn next_attempt_does_not_start_before_the_fixed_time() {
 #[test]
 fn start_that_is_too_soon_is_moved_later_within_the_permitted_time() {
     let mut mission = begins_at_once(Everything);
-    let start = FixedStart { act: 0, at: at(1) };
+    let start = FixedStart { act: ActIndex::new(0), at: at(1) };
     mission.options.fixed = FixedStarts { operator: Some(start), within: ms(5_000) };
     assert_eq!(Played::begun(mission).run_to_the_end(), Outcome::Done);
 }
@@ -144,7 +144,7 @@ fn start_that_is_too_soon_is_moved_later_within_the_permitted_time() {
 /// A mission with two acts. The first one plays, and the second one, which follows immediately, has been sent.
 pub(super) fn chained(drops_undecided: bool) -> Played {
     let mut mission = waits_in(2);
-    mission.robots[0].block.as_mut().unwrap().pending_until = drops_undecided;
+    mission.robots[R0].block.as_mut().unwrap().pending_until = drops_undecided;
     let mut played = Played::begun(mission);
     played.run_to_the_start();
     assert!(played.mission.acts[1].was_sent() && !played.mission.acts[1].is_committed());
@@ -162,7 +162,7 @@ fn lapses() -> Played {
 
 /// The request id of the second act's script.
 pub(super) fn second(played: &Played) -> RequestId {
-    played.mission.acts[1].members()[0].scripts()[0].request_id().cloned().unwrap()
+    played.mission.acts[1].members()[MemberIndex::new(0)].scripts()[0].request_id().cloned().unwrap()
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn queued_act_lapses_and_is_prepared_again_after_the_current_one_ends() {
     assert_eq!((played.stops(), played.starts()), (1, 3));
     let again: Vec<_> = played.mission.reports.iter().map(|act| act.prepared_again).collect();
     assert_eq!(again, [0, 1]);
-    let totals = &played.mission.robots[0].totals;
+    let totals = &played.mission.robots[R0].totals;
     assert_eq!((totals.scripts, totals.steps_planned), (2, totals.steps_done));
     assert!(played.mission.fates.iter().all(|act| act.played == 1));
 }
@@ -186,8 +186,8 @@ fn robots_that_drop_a_lapsing_act_have_not_failed() {
     let (device, id) = (DeviceId::new("a").unwrap(), second(&played));
     let mut dropped = response(&device, Some(&id), Status::Failed, played.now);
     dropped.error = Some(ran_out());
-    played.happens(Event::Received { robot: 0, message: Message::ControlResponse(dropped) });
-    assert!(!played.mission.robots[0].has_failed());
+    played.happens(Event::Received { robot: R0, message: Message::ControlResponse(dropped) });
+    assert!(!played.mission.robots[R0].has_failed());
     assert_eq!(played.run_to_the_end(), Outcome::Done);
 }
 
@@ -195,9 +195,9 @@ fn robots_that_drop_a_lapsing_act_have_not_failed() {
 fn act_that_cannot_have_begun_is_withdrawn_even_if_a_robot_is_lost() {
     for (drops_undecided, second) in [(true, ActFate::Withdrawn), (false, ActFate::Stopped)] {
         let mut played = chained(drops_undecided);
-        played.mutes(0);
+        played.mutes(R0);
         let reason = "closed".to_owned();
-        played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+        played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });
         assert_eq!(played.run_to_the_end(), Outcome::Failed);
         let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
         assert_eq!(fates, [ActFate::Stopped, second]);
@@ -229,7 +229,7 @@ fn act_is_withdrawn_if_the_mission_ends_before_the_next_attempt() {
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.starts(), 0);
-    assert_eq!(played.mission.fates[0].fate, ActFate::Withdrawn);
+    assert_eq!(played.mission.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
 }
 
 #[test]
@@ -253,7 +253,7 @@ fn stop_before_the_next_attempt_is_sent_only_if_robots_are_to_go_home() {
         played.happens(Event::StopRequested { rest, by: None });
         assert_eq!(played.run_to_the_end(), Outcome::Stopped);
         assert_eq!(played.stops() - before, sent, "{rest:?}");
-        let confirmed = matches!(played.mission.robots[0].stop, Stop::Confirmed(Rest::Home));
+        let confirmed = matches!(played.mission.robots[R0].stop, Stop::Confirmed(Rest::Home));
         assert_eq!(confirmed, rest == Rest::Home);
     }
 }
@@ -261,7 +261,7 @@ fn stop_before_the_next_attempt_is_sent_only_if_robots_are_to_go_home() {
 #[test]
 fn act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop() {
     let mut played = Played::begun(begins_at_once(Everything));
-    played.mutes(0);
+    played.mutes(R0);
     played.is_withdrawn();
     assert_eq!(played.run_to_the_end(), LATE);
     assert_eq!(played.starts(), 1);
@@ -285,7 +285,7 @@ fn accepts_late(silent: usize, on_failure: OnFailure) -> Played {
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
     let mission = Mission::new(Arc::new(choreography), ids.map(participant).into(), options, at(0)).unwrap();
-    Played::of(mission, (0..silent).collect())
+    Played::of(mission, (0..silent).map(RobotIndex::new).collect())
 }
 
 #[test]
@@ -316,7 +316,7 @@ fn silent_robots_fail_at_second_attempt_or_at_third_if_all_are_silent() {
         while failed(&played) == 0 {
             // The silent robots answer only the stop of an attempt.
             let withdrawn = played.mission.again.is_some();
-            played.mute = (0..silent).filter(|_| !withdrawn).collect();
+            played.mute = (0..silent).map(RobotIndex::new).filter(|_| !withdrawn).collect();
             played.run_until(played.now + ms(1));
         }
         let attempt = played.mission.acts[0].attempts() + 1;
@@ -338,26 +338,26 @@ fn leases_expired_during_a_machine_stall_are_no_robot_failures() {
         played.run_until(played.mission.acts[0].timing().unwrap().critical() - ms(40));
         let due = played.mission.acts[0].wakeup().unwrap();
         played.now = due + late;
-        let named = played.mission.robots[0].requests.keys().next().cloned();
+        let named = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone());
         let mut ended = response(&DeviceId::new("a").unwrap(), named.as_ref(), Status::Failed, played.now);
         ended.error = Some(ran_out());
-        played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
+        played.happens(Event::Received { robot: R0, message: Message::ControlResponse(ended) });
         let outcome = played.run_to_the_end();
         assert_eq!(outcome == Outcome::Done, again, "{late}: {outcome:?}");
-        assert_eq!(played.mission.robots[0].has_failed(), !again, "{late}");
+        assert_eq!(played.mission.robots[R0].has_failed(), !again, "{late}");
     }
 }
 
 #[test]
 fn link_lost_while_an_act_is_withdrawn_is_reconnected() {
     let mut played = accepts_late(0, OnFailure::Without);
-    played.mutes(2);
+    played.mutes(R2);
     played.is_withdrawn();
     played.run_until(played.now + ms(20));
-    assert!(played.mission.robots[0].is_settled() && !played.mission.robots[2].is_settled());
+    assert!(played.mission.robots[R0].is_settled() && !played.mission.robots[R2].is_settled());
     let reason = "closed".to_owned();
-    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
-    assert!(!played.mission.robots[0].lost().unwrap().connecting, "it has confirmed its stop");
+    played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });
+    assert!(!played.mission.robots[R0].lost().unwrap().connecting, "it has confirmed its stop");
     played.mute.clear();
     // The mission waits for its patience to learn the fate of this robot's script.
     for _ in 0..8_000 {
@@ -366,7 +366,7 @@ fn link_lost_while_an_act_is_withdrawn_is_reconnected() {
         }
         played.run_until(played.now + ms(1));
     }
-    assert!(played.mission.robots[0].lost().unwrap().connecting);
+    assert!(played.mission.robots[R0].lost().unwrap().connecting);
 }
 
 #[test]
@@ -383,10 +383,10 @@ fn repeated_attempt_does_not_count_as_another_act() {
 fn lease_that_ends_during_a_machine_stall_stops_no_other_act() {
     let mut played = chained(true);
     played.drops(&second(&played));
-    let failing = vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
+    let failing = vec![(R0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
     let now = played.mission.acts[1].wakeup().unwrap() + ms(50);
-    played.mission.fail_of_act(now, 1, failing);
-    assert!(played.mission.acts[1].is_lapsing() && !played.mission.robots[0].has_failed());
+    played.mission.fail_of_act(now, ActNumber::new(1), failing);
+    assert!(played.mission.acts[1].is_lapsing() && !played.mission.robots[R0].has_failed());
     assert_eq!(played.run_to_the_end(), Outcome::Done);
 }
 
@@ -412,7 +412,7 @@ fn expired_leases_and_silence_after_a_late_wake_up_are_excused() {
         played.run_until(played.now + ms(2));
         let case = format!("{late} ms late, {policy:?}, {kind}");
         let number = played.mission.acts[0].number();
-        played.mission.fail_of_act(played.now, number, vec![(0, kind)]);
+        played.mission.fail_of_act(played.now, number, vec![(R0, kind)]);
         let actions = played.mission.advance(played.now);
         played.carry_out(actions);
         let outcome = played.run_to_the_end();
@@ -440,7 +440,7 @@ fn leases_grow_with_the_lateness_of_the_machine() {
         let _asks = mission.advance(at(0));
         let due = mission.next_wakeup().unwrap();
         let _late = mission.advance(due + ms(late));
-        let mut played = Played::linked(mission, &[0]);
+        let mut played = Played::linked(mission, &[R0]);
         played.now = due + ms(late);
         played.run_until(played.now + ms(100));
         let timing = played.mission.acts[0].timing().expect("it is sent");

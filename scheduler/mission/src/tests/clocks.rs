@@ -13,10 +13,10 @@ fn two_have_strayed() -> Mission {
     let participants = ["r0", "r1", "r2"].map(participant).to_vec();
     let mut mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
     for robot in 0..3 {
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot });
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: robot.into() });
     }
-    mission.robots[0].clock.add(shows(0));
-    mission.robots[1].clock.add(shows(50));
+    mission.robots[R0].clock.add(shows(0));
+    mission.robots[R1].clock.add(shows(50));
     mission
 }
 
@@ -26,21 +26,21 @@ fn shows(ahead: i64) -> ClockSample {
     ClockSample::from_exchange(at(1), there, there, at(2))
 }
 
-fn blamed(mission: &Mission) -> Vec<(usize, FailureKind)> {
-    let failures = |(index, robot): (usize, &RobotState)| {
+fn blamed(mission: &Mission) -> Vec<(RobotIndex, FailureKind)> {
+    let failures = |(index, robot): (RobotIndex, &RobotState)| {
         robot.failures.iter().map(move |failure| (index, failure.kind.clone())).collect::<Vec<_>>()
     };
-    mission.robots.iter().enumerate().flat_map(failures).collect()
+    mission.robots.enumerated().flat_map(failures).collect()
 }
 
 #[test]
 fn all_robots_with_drifted_clocks_fail_as_soon_as_drift_is_detected() {
     let mut mission = two_have_strayed();
     assert_eq!(blamed(&mission), []);
-    mission.take_times(at(2), 2, shows(-50));
+    mission.take_times(at(2), R2, shows(-50));
     let blamed = blamed(&mission);
     assert!(
-        matches!(blamed.as_slice(), [(1, FailureKind::Clock { .. }), (2, FailureKind::Clock { .. })]),
+        matches!(blamed.as_slice(), [(R1, FailureKind::Clock { .. }), (R2, FailureKind::Clock { .. })]),
         "{blamed:?}"
     );
 }
@@ -50,7 +50,7 @@ fn robot_whose_clock_drifted_across_two_acts_is_blamed_once() {
     let mut mission = two_have_strayed();
     let other = mission.acts[0].clone();
     mission.acts.push(other);
-    mission.take_times(at(2), 2, shows(-50));
+    mission.take_times(at(2), R2, shows(-50));
     let blamed = blamed(&mission);
     assert_eq!(blamed.len(), 2, "{blamed:?}");
 }
@@ -67,11 +67,11 @@ fn second_is_sent(running: i64) -> (Timestamp<Server>, Timestamp<Server>) {
         scripts.for_each(|script| script.stop_condition.running = running);
     }
     let ahead = ms(400);
-    let mut played = Played::linked(mission, &[0]);
-    played.ahead = [(0, ahead)].into();
+    let mut played = Played::linked(mission, &[R0]);
+    played.ahead = [(R0, ahead)].into();
     played.run_until(at(50));
     let end = played.mission.acts[0].timing().unwrap().end - ahead;
-    assert_eq!(played.run_to_the_end(), Outcome::Done, "{:?}", played.mission.robots[0].failures);
+    assert_eq!(played.run_to_the_end(), Outcome::Done, "{:?}", played.mission.robots[R0].failures);
     let script = |message: &Message| matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_some());
     let sent = played.sent.iter().filter(|(.., message)| script(message)).nth(1).unwrap();
     (sent.0, end)
@@ -89,12 +89,12 @@ fn act_needing_silence_longer_than_leases_of_another_is_sent_after_it() {
 fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
     let mut mission =
         begins_with(tells, &[("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)]);
-    mission.robots[0].settings.clock = clock;
-    let mut played = Played::linked(mission, &[0]);
-    played.ahead = [(0, ahead)].into();
+    mission.robots[R0].settings.clock = clock;
+    let mut played = Played::linked(mission, &[R0]);
+    played.ahead = [(R0, ahead)].into();
     // The robot's clock is known before the act is sent, as after a greeting.
     let there = by_robot(at(0)) + ahead;
-    played.mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+    played.mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
     played.run_until(at(10));
     played.run_to_the_start();
     played
@@ -102,13 +102,13 @@ fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
 
 /// Replaces the process of the robot by one whose clock is ahead by `ahead`.
 fn is_replaced(played: &mut Played, ahead: Span) {
-    let scripts: Vec<_> = played.mission.robots[0].requests.keys().cloned().collect();
+    let scripts: Vec<_> = played.mission.robots[R0].requests.scripts().map(|(id, _)| id.clone()).collect();
     scripts.iter().for_each(|script| played.loses(script));
     let reason = "it broke".to_owned();
-    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
-    played.ahead = [(0, ahead)].into();
+    played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });
+    played.ahead = [(R0, ahead)].into();
     played.sent.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
 }
 
 fn scripts_sent(played: &Played) -> usize {
@@ -126,7 +126,7 @@ fn robot_back_with_another_clock_mid_act_fails_and_gets_no_script() {
                 played.run_until(played.now + ms(20));
                 let case = format!("{tells:?}, {clock:?}, {by} ms");
                 let blamed = blamed(&played.mission);
-                assert!(matches!(blamed.as_slice(), [(0, FailureKind::Clock { .. })]), "{case}: {blamed:?}");
+                assert!(matches!(blamed.as_slice(), [(R0, FailureKind::Clock { .. })]), "{case}: {blamed:?}");
                 assert_eq!(scripts_sent(&played), 0, "{case}");
                 assert_eq!(played.run_to_the_end(), Outcome::Failed, "{case}");
                 assert_eq!(scripts_sent(&played), 0, "{case}");
@@ -157,9 +157,9 @@ fn robot_whose_clock_is_set_mid_act_fails_if_more_scripts_are_to_begin() {
             let start = played.mission.acts[0].timing().unwrap().start;
             played.run_until(start + ms(until));
             // Further than the robot's answers can contradict its reports.
-            played.ahead = [(0, ms(-100))].into();
+            played.ahead = [(R0, ms(-100))].into();
             played.run_until(start + ms(until + 1_100));
-            let clock = |(_, kind): &(usize, FailureKind)| matches!(kind, FailureKind::Clock { .. });
+            let clock = |(_, kind): &(RobotIndex, FailureKind)| matches!(kind, FailureKind::Clock { .. });
             assert_eq!(blamed(&played.mission).iter().any(clock), fails, "{tells:?}, {until} ms");
         }
     }
@@ -168,21 +168,21 @@ fn robot_whose_clock_is_set_mid_act_fails_if_more_scripts_are_to_begin() {
 #[test]
 fn script_deferred_for_silence_is_not_sent_before_response_on_new_link() {
     let mut mission = begins_at_once(Tells::Nothing);
-    let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     let script = sent.into_iter().find_map(|action| match action {
         Action::Send { message: message @ Message::ControlRequest(_), .. } => Some(message),
         _ => None,
     });
-    mission.take_times(at(2), 0, shows(0));
-    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    mission.take_times(at(2), R0, shows(0));
+    let down = Event::LinkDown { robot: R0, loss: Loss::Closed, reason: "it broke".to_owned() };
     let _reconnects = happens(&mut mission, at(3), down);
-    let _asks = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
+    let _asks = happens(&mut mission, at(4), Event::LinkUp { robot: R0 });
     for sends in [0, 1] {
-        mission.deferred = vec![(0, script.clone().unwrap())];
+        mission.deferred = vec![(R0, script.clone().unwrap())];
         mission.actions.clear();
         mission.send_deferred(at(6));
         assert_eq!(scripts_in(&mission.actions).len(), sends);
         let there = by_robot(at(5));
-        mission.take_times(at(6), 0, ClockSample::from_exchange(at(5), there, there, at(6)));
+        mission.take_times(at(6), R0, ClockSample::from_exchange(at(5), there, there, at(6)));
     }
 }

@@ -45,7 +45,7 @@ fn act_is_withdrawn_before_start_stopped_after_it_and_played_once_over() {
 fn failed_mission_counts_as_not_started_if_nothing_has_moved() {
     let fail = |played: &mut Played| {
         let now = played.now;
-        played.mission.fail(now, 0, broken());
+        played.mission.fail(now, R0, broken());
         played.run_to_the_end()
     };
     let mut played = Played::begun(begins_at_once(Everything));
@@ -82,7 +82,7 @@ fn acts_follow_each_other_up_to_the_requested_number() {
         assert_eq!(played.run_to_the_end(), Outcome::Done, "{acts_max:?}");
         assert_eq!(played.mission.acts_begun, begun, "{acts_max:?}");
         assert_eq!(played.mission.bound_reached(), bound, "{acts_max:?}");
-        let totals = played.mission.robots[0].totals;
+        let totals = played.mission.robots[R0].totals;
         let begun = begun as usize;
         assert_eq!(
             (totals.scripts, totals.sent, totals.accepted, totals.started),
@@ -140,13 +140,13 @@ fn others_continue_without_a_failed_robot_and_the_outcome_reports_it() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
     let now = played.now;
-    played.mission.fail(now, 1, broken());
-    assert_eq!(played.mission.robots[1].standing, Standing::Out);
+    played.mission.fail(now, R1, broken());
+    assert_eq!(played.mission.robots[R1].standing, Standing::Out);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
     let report = &played.mission.reports[0];
     assert_eq!(report.robots.iter().map(|robot| robot.left_out).collect::<Vec<_>>(), [false, true]);
-    let stopped = |robot: usize| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
-    assert_eq!((stopped(0), stopped(1)), (false, true));
+    let stopped = |robot: RobotIndex| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
+    assert_eq!((stopped(R0), stopped(R1)), (false, true));
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn mission_with_no_robots_left_has_failed() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
     let now = played.now;
-    played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
+    played.mission.fail_all(now, vec![(R0, broken()), (R1, broken())]);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     let reason = played.told.iter().find_map(|told| match told {
         Progress::Stopping { reason, .. } => Some(reason.clone()),
@@ -179,7 +179,7 @@ fn failure_may_lead_to_another_act_once_all_are_at_rest() {
     let mut played = Played::begun(mission);
     played.run_to_the_start();
     let now = played.now;
-    played.mission.abort(now, Outcome::Failed, Rest::InPlace, Some(1));
+    played.mission.abort(now, Outcome::Failed, Rest::InPlace, Some(ActIndex::new(1)));
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
 }
@@ -202,21 +202,21 @@ fn playing_robots_are_asked_three_times_per_lease() {
 
 #[test]
 fn messages_are_resent_to_a_robot_that_does_not_respond_before_decision() {
-    let mut played = Played::of(begins_at_once(Everything), vec![0]);
+    let mut played = Played::of(begins_at_once(Everything), vec![R0]);
     let timing = played.mission.acts[0].timing().unwrap().clone();
     played.run_until(timing.ask_again() - Span::from_nanos(1));
     let requests = |played: &Played| {
-        let request = |(.., message): &&(Timestamp<Server>, usize, Message)| {
+        let request = |(.., message): &&(Timestamp<Server>, RobotIndex, Message)| {
             matches!(message, Message::ControlRequest(_))
         };
         played.sent.iter().filter(request).count()
     };
     assert_eq!(requests(&played), 1);
     played.run_until(timing.ask_again());
-    assert_eq!((requests(&played), played.mission.robots[0].totals.retries), (2, 1));
+    assert_eq!((requests(&played), played.mission.robots[R0].totals.retries), (2, 1));
     played.run_until(timing.decision);
     let kinds: Vec<_> =
-        played.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
+        played.mission.robots[R0].failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(kinds[0].contains("acceptance by `a`"), "{kinds:?}");
 }
 
@@ -262,7 +262,7 @@ fn every_request_states_the_session() {
 #[test]
 fn journal_start_must_be_stored_within_the_operators_patience() {
     let mut mission = begins_at_once(Everything);
-    let _begun = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let _begun = mission.handle(at(0), Event::LinkUp { robot: R0 });
     let _waits = mission.advance(at(0));
     let ends = mission.acts[0].since() + mission.options.patience;
     assert!(mission.next_wakeup() <= Some(ends));
@@ -307,18 +307,21 @@ fn operator_settings_are_kept_or_refused() {
     ));
 
     assert_eq!(
-        sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: safe_start })),
+        sent_with(None, |options| options.fixed.operator =
+            Some(FixedStart { act: ActIndex::new(0), at: safe_start })),
         None
     );
     let start = safe_start - Span::from_nanos(1);
-    let too_soon = sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: start }));
+    let too_soon = sent_with(None, |options| {
+        options.fixed.operator = Some(FixedStart { act: ActIndex::new(0), at: start })
+    });
     assert_eq!(too_soon, Some(Outcome::StartTooSoon { start, safe_start }));
 }
 
 #[test]
 fn requested_start_is_kept_and_the_spare_time_extends_the_leases() {
     let mut mission = begins_at_once(Everything);
-    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_500) });
+    mission.options.fixed.operator = Some(FixedStart { act: ActIndex::new(0), at: at(1_500) });
     let played = Played::begun(mission);
     let timing = played.mission.acts[0].timing().unwrap();
     assert_eq!((timing.start, timing.gap), (at(1_500), Some(Span::ZERO)));
@@ -340,7 +343,7 @@ fn act_that_waits_too_long_fails_ends_or_is_skipped_per_scenario() {
         mission.choreography = Arc::new(choreography);
         let mut played = Played::begun(mission);
         played.run_until(at(1_000) - Span::from_nanos(1));
-        assert_eq!(played.mission.acts[0].index(), 0, "{way:?}");
+        assert_eq!(played.mission.acts[0].index(), ActIndex::new(0), "{way:?}");
         let ended = played.run_to_the_end();
         assert!(ended == outcome || way == Way::Fail && ended == Outcome::NotStarted, "{way:?}: {ended}");
         assert_eq!(fates(&played)[1], second, "{way:?}");
@@ -359,7 +362,7 @@ fn robot_with_its_own_policy_is_left_out_where_another_ends_the_mission() {
         let mut played = Played::begun(mission);
         played.run_to_the_start();
         let now = played.now;
-        played.mission.fail(now, robot, broken());
+        played.mission.fail(now, RobotIndex::new(robot), broken());
         assert_eq!(played.run_to_the_end(), outcome, "r{robot}");
     }
 }
@@ -399,8 +402,8 @@ fn strictest_policy_applies_when_robots_fail_together() {
         let mut played = Played::begun(mission);
         played.run_to_the_start();
         let now = played.now;
-        played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
-        let rest_of_third = match &played.mission.robots[2].stop {
+        played.mission.fail_all(now, vec![(R0, broken()), (R1, broken())]);
+        let rest_of_third = match &played.mission.robots[R2].stop {
             Stop::Sent(sent) => Some(sent.rest),
             _ => None,
         };
@@ -426,9 +429,9 @@ fn loop_of_acts_with_no_robots_left_ends_the_mission() {
     let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
     choreography.acts[1].plan = choreography.acts[0].plan.clone();
     choreography.acts[1].next = Way::Act(0);
-    mission.robots[0].standing = Standing::Out;
+    mission.robots[R0].standing = Standing::Out;
     mission.options.check_invariants = false;
-    let _ended = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    let _ended = happens(&mut mission, at(0), Event::LinkUp { robot: R1 });
     assert_eq!(mission.outcome(), Some(&Outcome::DoneWithout));
     assert!((2..=3).contains(&mission.acts_begun), "{} acts", mission.acts_begun);
 }
@@ -436,10 +439,10 @@ fn loop_of_acts_with_no_robots_left_ends_the_mission() {
 #[test]
 fn act_left_by_the_operator_before_its_start_is_withdrawn_though_sent() {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     assert!(mission.acts[0].is_unaccounted());
     mission.leave(at(1));
-    assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
+    assert_eq!(mission.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
 }
 
 /// A mission with one act. Its first robot has played its whole script, and the other robots continue to play.
@@ -487,13 +490,13 @@ fn act_whose_last_robot_was_left_out_may_have_begun_and_next_is_played() {
         let mut mission = one_after_the_other();
         let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
         choreography.acts[0].on_failure.default = OnFailure::Without;
-        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
+        mission.robots[R0].block.as_mut().unwrap().pending_until = drops;
         let mut played = Played::begun(mission);
         if starts {
             played.run_to_the_start();
         }
         let now = played.now;
-        played.mission.fail(now, 0, broken());
+        played.mission.fail(now, R0, broken());
         assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "it had started: {starts}");
         assert_eq!(fates(&played), [first, ActFate::Played], "it had started: {starts}, drops: {drops}");
     }
@@ -506,7 +509,7 @@ fn silent_robot_may_have_moved_at_the_earliest_start_its_clock_allows() {
     let earliest = timing.earliest_start();
     assert!(earliest < timing.start && !act.is_committed());
     for drops in [false, true] {
-        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
+        mission.robots[R0].block.as_mut().unwrap().pending_until = drops;
         let moved = [earliest - Span::from_nanos(1), earliest].map(|now| mission.may_have_begun(now, &act));
         assert_eq!(moved, [false, !drops]);
     }

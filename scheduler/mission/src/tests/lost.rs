@@ -9,14 +9,14 @@ use crate::failure_kind::FailureKind;
 use crate::report::{Report, StopState};
 
 fn breaks() -> Event {
-    Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() }
+    Event::LinkDown { robot: R0, loss: Loss::Closed, reason: "it broke".to_owned() }
 }
 
 /// A mission whose only robot plays and has lost its link.
 fn broken() -> Played {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     played.happens(breaks());
     played
 }
@@ -27,9 +27,9 @@ fn robot_is_given_up_only_when_its_lost_link_times_out() {
     let until = mission.give_up.unwrap();
     assert!(until >= now + RUNNING);
     mission.give_up_lost(until - Span::from_nanos(1));
-    assert!(!mission.robots[0].has_failed(), "it may still come back");
+    assert!(!mission.robots[R0].has_failed(), "it may still come back");
     mission.give_up_lost(until);
-    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    let kinds: Vec<_> = mission.robots[R0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert_eq!(kinds, [FailureKind::LinkDown { reason: "it broke".to_owned() }]);
     assert_eq!(mission.give_up, None, "the mission waits for no other robot");
 }
@@ -52,25 +52,25 @@ fn reattached_robot_is_no_longer_awaited() {
     let mut played = broken();
     let until = played.mission.give_up.unwrap();
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
     assert_eq!(played.mission.give_up, Some(until), "it has not answered");
     played.run_until(played.now + ms(1));
     assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
     assert_eq!(played.mission.give_up, None);
     assert_eq!(played.run_to_the_end(), Outcome::Done);
-    assert_eq!(played.mission.robots[0].totals.reconnects, 1);
+    assert_eq!(played.mission.robots[R0].totals.reconnects, 1);
 }
 
 /// A mission that stops because another process answers at the address of its robot, while that robot is still playing.
 fn replaced(patience: Span) -> Played {
     let mut played = broken();
     played.mission.options.patience = patience;
-    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + ms(20));
-    let robot = &played.mission.robots[0];
+    let robot = &played.mission.robots[R0];
     assert!(matches!(robot.stop, Stop::Confirmed(_)) && !robot.is_settled());
     played
 }
@@ -97,13 +97,13 @@ fn confirmations(played: &Played) -> usize {
 fn stop_confirmed_by_a_process_not_yet_known_to_be_new_takes_effect_late() {
     let mut played = broken();
     played.mission.options.patience = RUNNING * 3;
-    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + RUNNING - ms(40));
-    assert!(matches!(played.mission.robots[0].stop, Stop::Confirmed(_)));
+    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (None, 0));
     played.run_until(played.now + ms(60));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (Some(&Outcome::Stopped), 1));
@@ -114,8 +114,8 @@ fn process_that_responds_after_another_confirmed_its_stop_is_stopped() {
     let mut played = replaced(RUNNING * 3);
     assert_eq!(played.stops(), 1);
     played.happens(breaks());
-    assert!(played.mission.robots[0].lost().unwrap().connecting);
-    played.happens(Event::LinkUp { robot: 0 });
+    assert!(played.mission.robots[R0].lost().unwrap().connecting);
+    played.happens(Event::LinkUp { robot: R0 });
     assert_eq!(played.stops(), 2);
 }
 
@@ -133,14 +133,14 @@ fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
     let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
     let mut played = Played::begun(mission);
     played.run_to_the_start();
-    let id = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    let id = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&id);
     let (start, now) = (played.mission.acts[0].timing().unwrap().start, played.now);
-    played.mission.inquire_now(now, 0);
+    played.mission.inquire_now(now, R0);
     let actions = played.mission.advance(now);
     played.carry_out(actions);
     played.run_until(now + ms(1));
-    played.mission.robots[0].elsewhere.expect("another process may run it").map(|until| until - start)
+    played.mission.robots[R0].elsewhere.expect("another process may run it").map(|until| until - start)
 }
 
 #[test]
@@ -165,8 +165,8 @@ fn other_process_moves_until_lease_or_last_step_and_drives_until_lease() {
 fn longest_lease_of_the_lost_scripts_applies() {
     let elsewhere = |leases: &[Option<i64>]| {
         let mut mission = begins_at_once(Everything);
-        leases.iter().for_each(|lease| mission.robots[0].runs_elsewhere(lease.map(at)));
-        mission.robots[0].elsewhere
+        leases.iter().for_each(|lease| mission.robots[R0].runs_elsewhere(lease.map(at)));
+        mission.robots[R0].elsewhere
     };
     assert_eq!(elsewhere(&[]), None);
     assert_eq!(elsewhere(&[Some(3), Some(5), Some(4)]), Some(Some(at(5))));
@@ -176,11 +176,11 @@ fn longest_lease_of_the_lost_scripts_applies() {
 #[test]
 fn in_process_robot_is_moved_by_no_other_process() {
     let mut played = broken();
-    played.mission.robots[0].in_process = true;
-    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.mission.robots[R0].in_process = true;
+    let script = played.mission.robots[R0].requests.scripts().next().map(|(id, _)| id.clone()).unwrap();
     played.loses(&script);
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + ms(20));
     assert_eq!(played.mission.outcome(), Some(&Outcome::Failed));
     assert!(is_confirmed(&played));
@@ -201,41 +201,41 @@ fn robot_whose_process_is_gone_has_lost_its_scripts() {
     let other = [(Loss::Closed, false), (Loss::Unreachable, false), (Loss::Denied, false)];
     for (loss, fails) in [(Loss::Refused, true)].into_iter().chain(other) {
         let mut mission = begins_at_once(Everything);
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-        let _down = mission.handle(at(2), Event::LinkDown { robot: 0, loss, reason: "why".to_owned() });
-        assert_eq!(mission.robots[0].has_failed(), fails, "{loss:?}");
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
+        let _down = mission.handle(at(2), Event::LinkDown { robot: R0, loss, reason: "why".to_owned() });
+        assert_eq!(mission.robots[R0].has_failed(), fails, "{loss:?}");
     }
 }
 
 #[test]
 fn playing_robot_may_be_silent_for_its_lease_and_a_round_trip() {
     let mut played = Played::begun(begins_at_once(Everything));
-    assert_eq!(played.mission.silence_bound(played.now, 0), None, "its act is not committed");
+    assert_eq!(played.mission.silence_bound(played.now, R0), None, "its act is not committed");
     played.run_to_the_start();
     let bound = |played: &mut Played, round_trip: i64| {
         let there = by_robot(at(0));
         let mut clock = crate::clock::ClockEstimate::default();
         clock.add(ClockSample::from_exchange(at(0), there, there, at(round_trip)));
-        played.mission.robots[0].clock = clock;
-        played.mission.silence_bound(played.now, 0)
+        played.mission.robots[R0].clock = clock;
+        played.mission.silence_bound(played.now, R0)
     };
     assert_eq!(bound(&mut played, 0), Some(RUNNING));
     assert_eq!(bound(&mut played, 200), Some(RUNNING + ms(200)));
-    played.mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
-    assert_eq!(played.mission.silence_bound(played.now, 0), None, "it was stopped");
+    played.mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
+    assert_eq!(played.mission.silence_bound(played.now, R0), None, "it was stopped");
 }
 
 #[test]
 fn robot_that_becomes_silent_while_playing_fails() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     let since = played.now;
     played.run_until(since + ms(1_900));
-    assert!(!played.mission.robots[0].has_failed());
+    assert!(!played.mission.robots[R0].has_failed());
     played.run_until(since + ms(4_000));
     let kinds: Vec<_> =
-        played.mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+        played.mission.robots[R0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert!(matches!(kinds.as_slice(), [FailureKind::Silent { .. }]), "{kinds:?}");
 }
 
@@ -250,7 +250,7 @@ fn non_reporting_robot_is_asked_about_its_script_after_a_machine_stall() {
         played.run_until(played.now);
         played.delay_reports(ms(60));
         let outcome = played.run_to_the_end();
-        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+        assert_eq!((outcome, played.mission.robots[R0].failures.len()), (Outcome::Done, 0), "{late} ms late");
     }
 }
 
@@ -264,7 +264,7 @@ fn reports_received_during_a_stall_are_read_before_a_robot_is_blamed() {
         let actions = played.mission.advance(played.now);
         played.carry_out(actions);
         let outcome = played.run_to_the_end();
-        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+        assert_eq!((outcome, played.mission.robots[R0].failures.len()), (Outcome::Done, 0), "{late} ms late");
     }
 }
 
@@ -274,10 +274,10 @@ fn late_round_counts_as_a_machine_stall_and_excuses_open_requests() {
         let mut played = Played::begun(begins_at_once(Everything));
         let due = played.now;
         played.mission.next_round = Some(due);
-        played.mission.robots[0].questions.asked(due);
+        played.mission.robots[R0].questions.asked(due);
         played.mission.notice_hold_up(due + ms(late));
         assert_eq!(played.mission.rounds_held_up, held_up);
-        assert_eq!(played.mission.robots[0].questions.unanswered().is_none(), held_up > 0);
+        assert_eq!(played.mission.robots[R0].questions.unanswered().is_none(), held_up > 0);
     }
 }
 
@@ -320,13 +320,13 @@ fn each_lost_robot_is_given_up_at_its_own_time() {
             connecting: true,
             give_up: Some(give_up),
         };
-        mission.robots[robot].link = crate::robot_state::Link::Lost(lost);
+        mission.robots[RobotIndex::new(robot)].link = crate::robot_state::Link::Lost(lost);
     }
     mission.give_up = Some(at(10));
     mission.give_up_lost(at(10) - Span::from_nanos(1));
-    assert!(!mission.robots[1].has_failed());
+    assert!(!mission.robots[R1].has_failed());
     mission.give_up_lost(at(10));
-    let failed = [0, 1].map(|robot| mission.robots[robot].has_failed());
+    let failed = [0, 1].map(|robot| mission.robots[RobotIndex::new(robot)].has_failed());
     assert_eq!((failed, mission.give_up), ([false, true], Some(at(20))));
 }
 
@@ -352,11 +352,11 @@ fn silence_is_detected_by_a_check_that_runs_slightly_late() {
         let mut played = Played::begun(one_act(Everything, 10_000));
         played.run_to_the_start();
         let now = played.now;
-        played.mission.robots[0].heard(now - ms(60_000));
-        played.mission.robots[0].questions.asked(now - ms(60_000));
+        played.mission.robots[R0].heard(now - ms(60_000));
+        played.mission.robots[R0].questions.asked(now - ms(60_000));
         played.mission.next_silence = Some(now - ms(looks));
         played.mission.notice_silence(now);
-        assert_eq!(played.mission.robots[0].has_failed(), noticed, "{looks} ms after it was due");
+        assert_eq!(played.mission.robots[R0].has_failed(), noticed, "{looks} ms after it was due");
     }
 }
 
@@ -365,11 +365,11 @@ fn robot_just_asked_by_an_approaching_act_is_not_asked_again_by_a_round() {
     for (asked, more) in [(1, 0), (10_000, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));
         let now = played.now;
-        assert!(played.mission.acts[0].approaches(0) && !played.mission.acts[0].holds_messages_to(0, now));
-        played.mission.robots[0].questions.forgive();
+        assert!(played.mission.acts[0].approaches(R0) && !played.mission.acts[0].holds_messages_to(R0, now));
+        played.mission.robots[R0].questions.forgive();
         let mut questions = crate::robot_state::Questions::default();
         questions.asked(now - ms(asked));
-        played.mission.robots[0].questions = questions;
+        played.mission.robots[R0].questions = questions;
         played.mission.next_round = Some(now);
         played.mission.renew_if_due(now);
         assert_eq!(played.mission.actions.len(), more, "asked {asked} ms ago");

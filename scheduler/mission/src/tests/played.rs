@@ -15,7 +15,7 @@ use crate::bench::{ms, refusal, report, response};
 const ROUND_TRIP: Span = Span::from_micros(400);
 
 /// A script that a robot has: the index of the robot, the device, the start and the end.
-type Held = (usize, DeviceId, Timestamp<Server>, Timestamp<Server>);
+type Held = (RobotIndex, DeviceId, Timestamp<Server>, Timestamp<Server>);
 
 pub(super) struct Played {
     pub(super) mission: Mission,
@@ -26,7 +26,7 @@ pub(super) struct Played {
     ended: HashMap<RequestId, (ErrorCode, u32)>,
     arrivals: Vec<(Timestamp<Server>, Event)>,
     /// Robots whose messages are lost in both directions from now on.
-    pub(super) mute: Vec<usize>,
+    pub(super) mute: Vec<RobotIndex>,
     /// The positions that the robots report for their devices.
     pub(super) positions: HashMap<DeviceId, f64>,
     /// The time until which devices slow down, and their distance from their final positions per remaining millisecond.
@@ -38,12 +38,12 @@ pub(super) struct Played {
     /// Whether the control responses of robots omit the ids of requests.
     pub(super) leaves_out_names: bool,
     /// The times by which the clocks of robots are ahead of the server's.
-    pub(super) ahead: HashMap<usize, Span>,
+    pub(super) ahead: HashMap<RobotIndex, Span>,
     pub(super) told: Vec<Progress>,
-    pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
+    pub(super) sent: Vec<(Timestamp<Server>, RobotIndex, Message)>,
     pub(super) recorded: Vec<Record>,
     /// The attempts to reconnect to robots, each with the pause before it.
-    pub(super) reconnects: Vec<(usize, Span)>,
+    pub(super) reconnects: Vec<(RobotIndex, Span)>,
 }
 
 impl Played {
@@ -53,8 +53,8 @@ impl Played {
     }
 
     /// Like `begun`, but the robots in `mute` receive and send nothing.
-    pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
-        let all: Vec<usize> = (0..mission.robots.len()).collect();
+    pub(super) fn of(mission: Mission, mute: Vec<RobotIndex>) -> Self {
+        let all: Vec<RobotIndex> = mission.robots.indices().collect();
         let mut played = Self::linked(mission, &all);
         played.mute = mute;
         played.run_until(at(10));
@@ -62,7 +62,7 @@ impl Played {
     }
 
     /// A mission whose links to these robots are about to be connected.
-    pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
+    pub(super) fn linked(mission: Mission, robots: &[RobotIndex]) -> Self {
         let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
         Self {
             mission,
@@ -94,7 +94,7 @@ impl Played {
         let choreography = Arc::clone(&self.mission.choreography);
         let mission =
             Mission::resume(choreography, participants, options, kept, ended.into_iter(), now).unwrap();
-        let all: Vec<usize> = (0..mission.robots.len()).collect();
+        let all: Vec<RobotIndex> = mission.robots.indices().collect();
         let (scripts, ended) = (self.scripts.clone(), self.ended.clone());
         let (positions, ahead) = (self.positions.clone(), self.ahead.clone());
         let arrivals = all.iter().map(|robot| (now, Event::LinkUp { robot: *robot })).collect();
@@ -160,7 +160,7 @@ impl Played {
         }
     }
 
-    fn answer(&mut self, robot: usize, message: &Message) {
+    fn answer(&mut self, robot: RobotIndex, message: &Message) {
         let there = self.shown(robot, self.now + ROUND_TRIP / 2);
         let answer = match message {
             Message::AvailabilityRequest(request) => {
@@ -178,7 +178,7 @@ impl Played {
     }
 
     /// The time of a robot's clock at this instant.
-    fn shown(&self, robot: usize, at: Timestamp<Server>) -> Timestamp<urrcp::Robot> {
+    fn shown(&self, robot: RobotIndex, at: Timestamp<Server>) -> Timestamp<urrcp::Robot> {
         by_robot(at + self.ahead.get(&robot).copied().unwrap_or_default())
     }
 
@@ -190,7 +190,7 @@ impl Played {
         self.positions.get(device).map(|position| position + away + off)
     }
 
-    fn inquired(&self, robot: usize, inquiry: &Inquiry) -> InquiryResponse {
+    fn inquired(&self, robot: RobotIndex, inquiry: &Inquiry) -> InquiryResponse {
         let when = self.now + ROUND_TRIP / 2;
         let requests = inquiry.requests.iter().map(|id| {
             if let Some((code, steps_done)) = self.ended.get(id) {
@@ -224,7 +224,7 @@ impl Played {
         InquiryResponse { requests, devices, ..InquiryResponse::new(inquiry, there, there, Status::Ok) }
     }
 
-    fn asked_to(&mut self, robot: usize, request: &ControlRequest) -> Message {
+    fn asked_to(&mut self, robot: RobotIndex, request: &ControlRequest) -> Message {
         let (device, id) = (&request.device_id, request.request_id.as_ref());
         let ahead = self.ahead.get(&robot).copied().unwrap_or_default();
         let says = |status, at| Message::ControlResponse(response(device, id, status, at + ahead));
@@ -258,7 +258,7 @@ impl Played {
         says(Status::Accepted, there)
     }
 
-    fn says(&mut self, at: Timestamp<Server>, robot: usize, mut message: Message) {
+    fn says(&mut self, at: Timestamp<Server>, robot: RobotIndex, mut message: Message) {
         if let Message::ControlResponse(response) = &mut message {
             response.request_id.take_if(|_| self.leaves_out_names);
         }
@@ -280,7 +280,7 @@ impl Played {
     }
 
     /// Delays the connection to a robot.
-    pub(super) fn delay_link(&mut self, robot: usize, by: Span) {
+    pub(super) fn delay_link(&mut self, robot: RobotIndex, by: Span) {
         for (at, event) in &mut self.arrivals {
             if matches!(event, Event::LinkUp { robot: of } if *of == robot) {
                 *at = *at + by;
@@ -311,7 +311,7 @@ impl Played {
         stops.count()
     }
 
-    pub(super) fn mutes(&mut self, robot: usize) {
+    pub(super) fn mutes(&mut self, robot: RobotIndex) {
         self.mute.push(robot);
         self.arrivals
             .retain(|(_, event)| !matches!(event, Event::Received { robot: of, .. } if *of == robot));
@@ -347,7 +347,7 @@ fn current_acts_are_counted_by_stage() {
 fn robot_figures_include_the_current_acts() {
     let mut played = Played::begun(begins_at_once(Everything));
     let figures = |played: &Played| {
-        let figures = played.mission.figures_of(0);
+        let figures = played.mission.figures_of(R0);
         (
             figures.totals.sent,
             figures.totals.started,
@@ -359,8 +359,8 @@ fn robot_figures_include_the_current_acts() {
     assert_eq!(figures(&played), (1, 0, true, true, false));
     played.run_to_the_start();
     assert_eq!(figures(&played), (1, 1, true, true, false));
-    assert!(played.mission.figures_of(0).clock.is_some());
-    played.mutes(0);
+    assert!(played.mission.figures_of(R0).clock.is_some());
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(figures(&played), (1, 1, true, true, true));
 }

@@ -19,7 +19,7 @@ fn has_a_sensor(tells: Tells) -> Played {
     }
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), Some(block))];
     let mission = Mission::new(Arc::new(show), participants, MissionOptions::default(), at(0)).unwrap();
-    let mut played = Played::linked(mission, &[0]);
+    let mut played = Played::linked(mission, &[R0]);
     played.positions = [("a".parse().unwrap(), 45.0)].into();
     played
 }
@@ -32,7 +32,7 @@ fn robot_that_omits_request_ids_has_its_position_read_by_sensors() {
             played.leaves_out_names = true;
             played.positions.insert("a".parse().unwrap(), stands_at);
             played.run_until(at(2_000));
-            let failures: Vec<_> = played.mission.robots[0].failures.iter().collect();
+            let failures: Vec<_> = played.mission.robots[R0].failures.iter().collect();
             let jumps = |failure: &&Failure| matches!(failure.kind, FailureKind::Position { .. });
             assert_eq!(
                 (failures.len(), failures.iter().any(jumps)),
@@ -48,23 +48,23 @@ fn refusal_without_request_id_ends_the_wait_for_a_sensor_reading() {
     let mut played = has_a_sensor(Tells::Reports);
     (played.leaves_out_names, played.positions) = (true, HashMap::new());
     played.run_until(at(2_000));
-    assert!(!played.mission.robots[0].has_failed(), "{:?}", played.mission.robots[0].failures);
+    assert!(!played.mission.robots[R0].has_failed(), "{:?}", played.mission.robots[R0].failures);
 }
 
 #[test]
 fn readings_lost_with_a_broken_link_during_greeting_are_requested_again() {
     let mut played = has_a_sensor(Tells::Reports);
     let range = SensorRange::Above(10.0);
-    played.mission.robots[0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];
-    played.mission.robots[0].readings = vec![None];
+    played.mission.robots[R0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];
+    played.mission.robots[R0].readings = vec![None];
     // The robot's block has arrived, and the readings are pending.
     played.run_until(at(0) + Span::from_micros(500));
-    assert!(played.mission.robots[0].introduced && !played.mission.robots[0].has_shown_its_pose());
-    played.mutes(0);
+    assert!(played.mission.robots[R0].introduced && !played.mission.robots[R0].has_shown_its_pose());
+    played.mutes(R0);
     played.mute.clear();
     let reason = "closed".to_owned();
-    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });
+    played.happens(Event::LinkUp { robot: R0 });
     played.run_until(at(8_000));
-    assert!(!played.mission.robots[0].has_failed(), "{:?}", played.mission.robots[0].failures);
+    assert!(!played.mission.robots[R0].has_failed(), "{:?}", played.mission.robots[R0].failures);
 }

@@ -27,12 +27,16 @@ fn resumed_mission_queries_sent_scripts_and_resends_none() {
     let now = played.now;
     let mut resumed = resumed_after(&played, 0).mission;
     assert_eq!((resumed.phase, resumed.acts_begun), (Phase::Performing, 2));
-    assert_eq!((resumed.acts.len(), resumed.acts[0].number()), (1, 1));
-    assert!(resumed.acts[0].script(ScriptRef { act: 1, member: 0, script: 0 }).is_out());
-    assert!(resumed.robots[0].touched.contains(&"a".parse::<DeviceId>().unwrap()));
+    assert_eq!((resumed.acts.len(), resumed.acts[0].number().get()), (1, 1));
+    assert!(
+        resumed.acts[0]
+            .script(ScriptRef { act: ActNumber::new(1), member: MemberIndex::new(0), script: 0 })
+            .is_out()
+    );
+    assert!(resumed.robots[R0].touched.contains(&"a".parse::<DeviceId>().unwrap()));
     assert_eq!(resumed.next_round, Some(now), "leases have been running out");
-    assert_eq!(resumed.fates[0].fate, ActFate::Played);
-    let actions = happens(&mut resumed, now, Event::LinkUp { robot: 0 });
+    assert_eq!(resumed.fates[ActIndex::new(0)].fate, ActFate::Played);
+    let actions = happens(&mut resumed, now, Event::LinkUp { robot: R0 });
     assert_eq!(scripts_in(&actions), []);
     let asks = |action: &Action| matches!(action, Action::Send { message: Message::Inquiry(_), .. });
     assert!(actions.iter().any(asks));
@@ -42,7 +46,7 @@ fn resumed_mission_queries_sent_scripts_and_resends_none() {
 fn left_out_robot_stays_out_after_resumption_and_is_stopped() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
-    played.mission.fail(played.now, 1, broken());
+    played.mission.fail(played.now, R1, broken());
     // The process dies before it sends the stop.
     let recorded = played.mission.advance(played.now).into_iter().filter_map(|action| match action {
         Action::Record(record) => Some(record),
@@ -50,16 +54,16 @@ fn left_out_robot_stays_out_after_resumption_and_is_stopped() {
     });
     played.recorded.extend(recorded);
     let mut resumed = resumed_after(&played, 200);
-    assert_eq!(resumed.mission.robots[1].standing, Standing::Out);
+    assert_eq!(resumed.mission.robots[R1].standing, Standing::Out);
     assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
-    assert!(matches!(resumed.mission.robots[1].stop, Stop::Confirmed(_)));
+    assert!(matches!(resumed.mission.robots[R1].stop, Stop::Confirmed(_)));
 }
 
 /// A mission some time after it left out its second robot, which had played one step.
 fn left_out_after(later: Span) -> Played {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
-    played.mission.fail(played.now, 1, broken());
+    played.mission.fail(played.now, R1, broken());
     let actions = played.mission.advance(played.now);
     played.carry_out(actions);
     played.run_until(played.now + later);
@@ -73,10 +77,10 @@ fn robot_left_out_before_the_crash_is_reported_with_failure_and_steps() {
         let played = left_out_after(if confirmed { ms(100) } else { Span::ZERO });
         let mut resumed = resumed_after(&played, 200);
         resumed.run_until(resumed.now + ms(10));
-        let script = &resumed.mission.acts[0].member(1).unwrap().scripts()[0];
+        let script = &resumed.mission.acts[0].member(R1).unwrap().scripts()[0];
         assert_eq!(script.steps_done(), 1, "{confirmed}");
         assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
-        let robot = &resumed.mission.robots[1];
+        let robot = &resumed.mission.robots[R1];
         assert_eq!(robot.failures.iter().map(|failure| &failure.kind).collect::<Vec<_>>(), [&broken()]);
         assert_eq!((robot.totals.scripts, robot.totals.started, robot.totals.steps_done), (1, 1, 1));
         assert_eq!(robot.totals.unaccounted, 0);
@@ -91,9 +95,9 @@ fn act_that_ended_without_a_process_waits_briefly_for_a_left_out_robot() {
         let played = left_out_after(ms(100));
         let mut resumed = resumed_after(&played, 20_000);
         // The link of this robot is established last.
-        resumed.delay_link(1, if answers { ms(300) } else { ms(60_000) });
+        resumed.delay_link(R1, if answers { ms(300) } else { ms(60_000) });
         assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
-        let totals = resumed.mission.robots[1].totals;
+        let totals = resumed.mission.robots[R1].totals;
         assert_eq!((totals.steps_done, totals.unaccounted), if answers { (1, 0) } else { (0, 1) });
     }
 }
@@ -104,13 +108,13 @@ fn lapsing_act_is_prepared_again_by_the_resuming_process() {
         let mut played = chained(true);
         if committed {
             // The commitment was recorded ahead of time.
-            played.recorded.push(Record::Committed { number: 1 });
+            played.recorded.push(Record::Committed { number: ActNumber::new(1) });
         }
         played.is_withdrawn();
         played.drops(&second(&played));
         let mut resumed = resumed_after(&played, 10);
         assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{committed}");
-        assert!(!resumed.mission.robots[0].has_failed());
+        assert!(!resumed.mission.robots[R0].has_failed());
         assert!(resumed.mission.fates.iter().all(|act| act.played == 1));
     }
 }
@@ -148,12 +152,12 @@ fn report_of_a_resumed_mission_contains_acts_ended_before_the_crash() {
     let mut resumed = resumed_after(&played, 0);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done);
     let undisturbed = played.run_to_the_end();
-    let (mut totals, expected) = (resumed.mission.robots[0].totals, played.mission.robots[0].totals);
+    let (mut totals, expected) = (resumed.mission.robots[R0].totals, played.mission.robots[R0].totals);
     assert_eq!((undisturbed, std::mem::take(&mut totals.reconnects)), (Outcome::Done, 1));
     assert_eq!(format!("{totals:?}"), format!("{expected:?}"));
     assert_eq!((totals.scripts, totals.steps_done), (2, 4));
     let reports = &resumed.mission.reports;
-    assert_eq!(reports.iter().map(|act| act.number).collect::<Vec<_>>(), [0, 1]);
+    assert_eq!(reports.iter().map(|act| act.number.get()).collect::<Vec<_>>(), [0, 1]);
     let [listed, before] = [&reports[0], &before].map(|act| serde_json::to_value(act).unwrap());
     assert_eq!((listed, resumed.mission.reports_omitted), (before, 0));
 }
@@ -196,12 +200,12 @@ fn start_without_id_may_belong_to_a_script_only_the_dead_process_sent() {
     played.run_until(start + ms(350));
     // The robot holds two scripts at a time. The first two are considered sent, and leave no room for the third one.
     let resumed = resumed_after(&played, 0).mission;
-    let script = |script| ScriptRef { act: 0, member: 0, script };
+    let script = |script| ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
     assert!(resumed.acts[0].script(script(2)).is_planned());
     let device = "a".parse().unwrap();
     for (begins, expected) in [(200, script(1)), (400, script(2))] {
         let started = super::super::bench::response(&device, None, Status::Started, start + ms(begins));
-        let says = (0, requests::Says::ByItself);
+        let says = (R0, requests::Says::ByItself);
         assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &started), Some(expected));
     }
 }
@@ -214,10 +218,10 @@ fn answer_without_id_belongs_to_a_script_that_this_process_sent() {
     played.run_until(start + ms(350));
     // The first two scripts are considered sent. Their acceptance, if any, went to the dead process.
     let mut resumed = resumed_after(&played, 0).mission;
-    let script = |script| ScriptRef { act: 0, member: 0, script };
+    let script = |script| ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
     resumed.send_script(played.now, script(2));
     let device = "a".parse().unwrap();
-    let says = (0, requests::Says::ByItself);
+    let says = (R0, requests::Says::ByItself);
     let at = start + ms(351);
     let accepted = super::super::bench::response(&device, None, Status::Accepted, at);
     assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &accepted), Some(script(2)));
@@ -240,7 +244,7 @@ fn of_two_robots() -> Played {
 
 #[test]
 fn act_that_ended_without_a_driving_process_was_not_stopped() {
-    let fate = |robots_lost: &[usize], stopped_after: i64| {
+    let fate = |robots_lost: &[RobotIndex], stopped_after: i64| {
         let played = of_two_robots();
         let mut resumed = resumed_after(&played, stopped_after);
         robots_lost.iter().for_each(|robot| resumed.mutes(*robot));
@@ -249,10 +253,10 @@ fn act_that_ended_without_a_driving_process_was_not_stopped() {
         assert_eq!(resumed.run_to_the_end(), Outcome::Stopped);
         fates(&resumed)
     };
-    assert_eq!(fate(&[0], 3_000), [ActFate::Played], "one robot has completed it");
-    assert_eq!(fate(&[0, 1], 3_000), [ActFate::Unknown]);
-    assert_eq!(fate(&[0], 200), [ActFate::Stopped]);
-    assert_eq!(fate(&[0, 1], 200), [ActFate::Stopped]);
+    assert_eq!(fate(&[R0], 3_000), [ActFate::Played], "one robot has completed it");
+    assert_eq!(fate(&[R0, R1], 3_000), [ActFate::Unknown]);
+    assert_eq!(fate(&[R0], 200), [ActFate::Stopped]);
+    assert_eq!(fate(&[R0, R1], 200), [ActFate::Stopped]);
 }
 
 #[test]
@@ -278,7 +282,7 @@ fn ended_scripts_of_a_long_movement_are_queried_at_once() {
     played.run_until(played.now + ms(11_000));
     let mut resumed = resumed_after(&played, 50);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.told);
-    assert_eq!(resumed.mission.robots[0].totals.steps_done, 16);
+    assert_eq!(resumed.mission.robots[R0].totals.steps_done, 16);
     let first = resumed.sent.iter().find_map(|(_, _, message)| match message {
         Message::Inquiry(inquiry) => Some(inquiry.requests.len()),
         _ => None,
@@ -297,10 +301,10 @@ fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
     let ending = (outcome, "why".to_owned());
     let mission =
         Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
-    let mut played = Played::linked(mission, &[0]);
+    let mut played = Played::linked(mission, &[R0]);
     let outcome = played.run_to_the_end();
-    assert!(matches!(played.mission.robots[0].stop, Stop::Confirmed(_)));
-    assert_eq!(played.mission.robots[0].failures.len(), 1, "the failure from the journal");
+    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
+    assert_eq!(played.mission.robots[R0].failures.len(), 1, "the failure from the journal");
     (outcome, played.mission.because().map(str::to_owned))
 }
 
@@ -329,14 +333,14 @@ fn device_moved_before_resumption_continues_as_the_scenario_specifies() {
     block.devices.iter_mut().for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), Some(block))];
     let mission = Mission::new(Arc::new(show), participants, MissionOptions::default(), at(0)).unwrap();
-    let mut played = Played::linked(mission, &[0]);
+    let mut played = Played::linked(mission, &[R0]);
     played.positions = ["a", "b"].map(|device| (device.parse().unwrap(), 45.0)).into();
     played.run_until(at(3_000));
-    assert_eq!(played.mission.acts[0].index(), 1);
+    assert_eq!(played.mission.acts[0].index(), ActIndex::new(1));
     let mut resumed = resumed_after(&played, 100);
     resumed.mission.options.greeting = Greeting::Full;
     resumed.positions.insert("a".parse().unwrap(), 0.0);
-    assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.mission.robots[0].failures);
+    assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.mission.robots[R0].failures);
 }
 
 #[test]
@@ -344,7 +348,8 @@ fn mission_that_continued_after_a_stop_is_withdrawn_and_not_resumed() {
     let mut played = Played::begun(waits_in(2));
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
     assert_eq!(kept(&played).0.fate(), crate::Fate::Resume);
-    let promises = |record: &Record| matches!(record, Record::Prepared(promise) if promise.number == 1);
+    let promises =
+        |record: &Record| matches!(record, Record::Prepared(promise) if promise.number == ActNumber::new(1));
     let second = played.recorded.iter().position(promises).unwrap();
     let stopping = Record::Stopping { outcome: Outcome::Failed, rest: Rest::InPlace, by: None };
     played.recorded.insert(second, stopping);
@@ -359,7 +364,7 @@ fn script_not_sent_in_time_by_a_dead_process_is_not_reported_as_lost() {
     let mut resumed = resumed_after(&played, 900);
     assert_eq!(resumed.run_to_the_end(), Outcome::Failed);
     let texts: Vec<_> =
-        resumed.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
+        resumed.mission.robots[R0].failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(
         matches!(texts.as_slice(), [text] if text.contains("does not have the script, and the script's start has passed")),
         "{texts:?}"
@@ -381,7 +386,7 @@ fn resumed_act_keeps_the_doubt_recorded_at_its_decision() {
 
 /// The failures after another process has resumed an act of three robots with measured clocks. The robots' clocks are ahead of that
 /// process's clock by `ahead` in milliseconds.
-fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
+fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(RobotIndex, FailureKind)> {
     let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
     let scripts: [&[Planned]; 3] = [&chain; 3];
     let participant =
@@ -390,17 +395,18 @@ fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
     let participants = ["r0", "r1", "r2"].map(participant).to_vec();
     let mut mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
     mission.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
-    let mut played = Played::linked(mission, &[0, 1, 2]);
+    let mut played = Played::linked(mission, &[R0, R1, R2]);
     played.run_until(at(50));
     played.run_to_the_start();
     let mut resumed = resumed_after(&played, 100);
     resumed.mission.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
-    resumed.ahead = ahead.into_iter().map(ms).enumerate().collect();
+    resumed.ahead =
+        ahead.into_iter().map(ms).zip(0..).map(|(ahead, robot)| (RobotIndex::new(robot), ahead)).collect();
     resumed.run_until(resumed.now + ms(100));
-    let failures = |(index, robot): (usize, &RobotState)| {
+    let failures = |(index, robot): (RobotIndex, &RobotState)| {
         robot.failures.iter().map(move |failure| (index, failure.kind.clone())).collect::<Vec<_>>()
     };
-    resumed.mission.robots.iter().enumerate().flat_map(failures).collect()
+    resumed.mission.robots.enumerated().flat_map(failures).collect()
 }
 
 #[test]
@@ -409,6 +415,6 @@ fn clock_set_before_resumption_fails_its_robot_unless_it_was_ours() {
     assert_eq!(resumed_with_clocks([-2_000; 3]), [], "the clock of this machine was set");
     for ahead in [[0, 2_000, 0], [-2_000, 0, -2_000]] {
         let failures = resumed_with_clocks(ahead);
-        assert!(matches!(failures.as_slice(), [(1, FailureKind::Clock { .. })]), "{ahead:?}: {failures:?}");
+        assert!(matches!(failures.as_slice(), [(R1, FailureKind::Clock { .. })]), "{ahead:?}: {failures:?}");
     }
 }

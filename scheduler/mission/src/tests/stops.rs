@@ -20,7 +20,7 @@ fn asked_to_stop(mission: &mut Mission, now: i64, rest: Rest) -> Vec<ControlRequ
 
 fn sent() -> Mission {
     let mut mission = begins_at_once(Everything);
-    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     mission
 }
 
@@ -49,7 +49,7 @@ fn unconfirmed_stop_is_resent_and_given_up_when_patience_ends() {
     assert_eq!(mission.next_wakeup(), Some(again));
     assert_eq!(mission.advance(again - Span::from_nanos(1)).len(), 0);
     assert_eq!(stops_in(&mission.advance(again)), first, "the same request");
-    assert_eq!(mission.robots[0].totals.retries, 1);
+    assert_eq!(mission.robots[R0].totals.retries, 1);
     assert_eq!(mission.next_wakeup(), Some(at(401)));
     let _ended = mission.advance(ends);
     assert!(mission.outcome().is_some());
@@ -66,7 +66,7 @@ fn awaits_word(before_brink: Span) -> Played {
     let mut played = Played::begun(mission);
     let timing = played.mission.acts[0].timing().unwrap().clone();
     played.run_until(timing.critical() - ms(30));
-    played.mutes(1);
+    played.mutes(R1);
     played.run_until(timing.brink() - before_brink);
     assert!(!played.mission.acts[0].is_committed() && played.now >= timing.critical());
     played
@@ -77,19 +77,24 @@ fn stop_is_sent_at_once_while_other_messages_await_the_commitment() {
     for by_operator in [true, false] {
         let mut played = awaits_word(ms(14));
         let (now, mission) = (played.now, &mut played.mission);
-        mission.read(now, 0, "b".parse().unwrap(), super::super::robot_state::Reading::Wait(0));
+        mission.read(
+            now,
+            R0,
+            "b".parse().unwrap(),
+            super::super::robot_state::Reading::Wait(ActNumber::new(0)),
+        );
         assert!(mission.actions.is_empty() && mission.deferred.len() == 1, "it waits for the commitment");
         let actions = if by_operator {
             mission.handle(now, Event::StopRequested { rest: Rest::InPlace, by: None })
         } else {
-            mission.fail(now, 0, super::course::broken());
+            mission.fail(now, R0, super::course::broken());
             std::mem::take(&mut mission.actions)
         };
         let urgent = |action: &Action| match action {
             Action::Send { robot, urgent: true, .. } => Some(*robot),
             _ => None,
         };
-        assert_eq!(actions.iter().filter_map(urgent).collect::<Vec<_>>(), [0, 1], "{by_operator}");
+        assert_eq!(actions.iter().filter_map(urgent).collect::<Vec<_>>(), [R0, R1], "{by_operator}");
         assert_eq!(stops_in(&actions).len(), 2, "{by_operator}: the reading is not sent");
     }
 }
@@ -98,7 +103,7 @@ fn stop_is_sent_at_once_while_other_messages_await_the_commitment() {
 fn stop_on_a_slow_link_has_three_round_trips_to_be_confirmed() {
     let mut mission = sent();
     let there = by_robot(at(100));
-    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(200)));
+    mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(200)));
     let _stops = asked_to_stop(&mut mission, 300, Rest::InPlace);
     assert_eq!(mission.next_wakeup(), Some(at(900)));
 }
@@ -108,7 +113,7 @@ fn stop_ids_begin_with_the_session() {
     for (session, begin) in [(None, "stop/"), (Some("show"), "show/stop/")] {
         let mut mission = begins_at_once(Everything);
         mission.options.session = session.map(|name| Session::named(name.parse().unwrap()));
-        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         let stops = asked_to_stop(&mut mission, 1, Rest::InPlace);
         let name = stops[0].request_id.as_ref().unwrap().as_str();
         assert!(name.starts_with(begin), "{name}");
@@ -120,20 +125,20 @@ fn stop_ids_begin_with_the_session() {
 fn robot_is_stopped_again_only_if_the_kind_of_stop_differs() {
     let mut mission = sent();
     let otherwise =
-        |mission: &Mission| [Rest::InPlace, Rest::Home].map(|rest| mission.robots[0].stops_otherwise(rest));
+        |mission: &Mission| [Rest::InPlace, Rest::Home].map(|rest| mission.robots[R0].stops_otherwise(rest));
     assert_eq!(otherwise(&mission), [false, true], "a robot that came to rest earlier still goes home");
-    mission.stop_robot(at(1), 0, Rest::Home);
+    mission.stop_robot(at(1), R0, Rest::Home);
     assert_eq!(otherwise(&mission), [true, false]);
-    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    mission.robots[R0].set_stop(Stop::Confirmed(Rest::InPlace));
     assert_eq!(otherwise(&mission), [false, true]);
 }
 
 #[test]
 fn stop_after_a_failure_lasts_until_the_operator_overrides_it() {
     let mut mission = sent();
-    mission.abort(at(1), Outcome::Failed, Rest::InPlace, Some(0));
+    mission.abort(at(1), Outcome::Failed, Rest::InPlace, Some(ActIndex::new(0)));
     assert_eq!(stops_in(&std::mem::take(&mut mission.actions)).len(), 1);
-    assert_eq!(mission.then, Some(0));
+    assert_eq!(mission.then, Some(ActIndex::new(0)));
     assert_eq!(asked_to_stop(&mut mission, 2, Rest::InPlace).len(), 0);
     assert_eq!((mission.then, mission.outcome.clone()), (None, Some(Outcome::Stopped)), "nothing follows");
     let _ends = mission.advance(at(1) + mission.options.patience + ms(1));
@@ -162,7 +167,7 @@ fn lost_journal_stops_the_mission_and_no_act_follows_a_stop() {
     assert!(matches!(mission.outcome, Some(Outcome::JournalLost { .. })));
 
     let mut mission = sent();
-    mission.abort(at(1), Outcome::Failed, Rest::Home, Some(0));
+    mission.abort(at(1), Outcome::Failed, Rest::Home, Some(ActIndex::new(0)));
     let _told = mission.handle(at(2), lost());
     assert_eq!(mission.then, None);
 }
@@ -195,14 +200,14 @@ fn stop_request_after_the_end_changes_nothing() {
 fn robot_not_reached_by_its_stop_is_reported_once_with_the_reason() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
-    let down = || Event::LinkDown { robot: 0, loss: Loss::Unreachable, reason: "no route".to_owned() };
+    let down = || Event::LinkDown { robot: R0, loss: Loss::Unreachable, reason: "no route".to_owned() };
     played.happens(down());
-    assert!(!played.mission.robots[0].has_failed(), "it may still be reached");
+    assert!(!played.mission.robots[R0].has_failed(), "it may still be reached");
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     let kinds: Vec<_> =
-        played.mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+        played.mission.robots[R0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert_eq!(kinds, [FailureKind::LinkDown { reason: "no route".to_owned() }]);
 }
 
@@ -210,24 +215,24 @@ fn robot_not_reached_by_its_stop_is_reported_once_with_the_reason() {
 fn robot_that_does_not_confirm_its_stop_on_a_working_link_has_not_failed() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
-    assert!(!played.mission.robots[0].has_failed() && played.mission.robots[0].awaits_stop());
+    assert!(!played.mission.robots[R0].has_failed() && played.mission.robots[R0].awaits_stop());
 }
 
 #[test]
 fn reattached_robot_is_not_reported_while_the_mission_stops() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
-    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() });
+    played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason: "it broke".to_owned() });
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 0 });
+    played.happens(Event::LinkUp { robot: R0 });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert!(!played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
-    assert!(played.mission.robots[0].is_settled(), "its stop came with the new link");
+    assert!(played.mission.robots[R0].is_settled(), "its stop came with the new link");
 }
 
 #[test]
@@ -253,9 +258,9 @@ fn scripts_left_by_another_process_are_withdrawn_once_links_are_up() {
             let ending = (Outcome::Stopped, "why".to_owned());
             let mut mission =
                 Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::Home, at(0));
-            assert_eq!(mission.robots[0].own_id.as_str(), "UR5-1");
-            assert_eq!(mission.robots[0].left, expected);
-            let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 }));
+            assert_eq!(mission.robots[R0].own_id.as_str(), "UR5-1");
+            assert_eq!(mission.robots[R0].left, expected);
+            let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 }));
             let devices: Vec<_> = stops.iter().map(|stop| stop.device_id.as_str()).collect();
             assert_eq!(devices, ["a", "b"]);
             assert!(stops.iter().all(|stop| stop.home && stop.timestamp == Some(at(0) + ms(7))));
@@ -272,13 +277,13 @@ fn script_end_without_id_does_not_confirm_stop_of_a_withdrawn_mission() {
     let ending = (Outcome::Stopped, "why".to_owned());
     let mut mission =
         Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
-    assert_eq!(stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 })).len(), 1);
+    assert_eq!(stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 })).len(), 1);
     let ok = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, at(3));
     let ended = urrcp::ControlResponse { status_value: urrcp::StatusValue::Number(45.0), ..ok.clone() };
     for (answer, awaits) in [(ended, true), (ok, false)] {
         let message = Message::ControlResponse(answer);
-        let _noted = mission.handle(at(4), Event::Received { robot: 0, message });
-        assert_eq!(mission.robots[0].awaits_stop(), awaits);
+        let _noted = mission.handle(at(4), Event::Received { robot: R0, message });
+        assert_eq!(mission.robots[R0].awaits_stop(), awaits);
     }
 }
 
@@ -292,18 +297,18 @@ fn end_without_id_after_a_stop_may_belong_to_the_script_or_the_stop() {
     ] {
         let mut played = Played::begun(begins_at_once(Tells::Reports));
         played.run_to_the_start();
-        played.mutes(0);
+        played.mutes(R0);
         let end = played.mission.acts[0].timing().unwrap().end;
         played.run_until(end + ms(5));
         played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
         let ended = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, played.now);
         let ended = urrcp::ControlResponse { status_value, steps_done, ..ended };
         played.now = played.now + ms(1);
-        played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
+        played.happens(Event::Received { robot: R0, message: Message::ControlResponse(ended) });
         let act = &played.mission.acts[0];
-        let script = act.script(ScriptRef { act: 0, member: 0, script: 0 });
+        let script = act.script(ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 });
         assert_eq!((script.has_completed(), script.is_out()), (completed, false), "{steps_done:?}");
-        assert!(played.mission.robots[0].awaits_stop(), "it confirms no stop");
+        assert!(played.mission.robots[R0].awaits_stop(), "it confirms no stop");
     }
 }
 
@@ -328,11 +333,11 @@ fn robot_taken_over_by_another_session_is_stopped_only_by_the_operator() {
                 )
             };
             let message = Message::ControlResponse(refused);
-            let _noted = mission.handle(at(2), Event::Received { robot: 0, message });
+            let _noted = mission.handle(at(2), Event::Received { robot: R0, message });
         }
-        let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+        let kinds: Vec<_> = mission.robots[R0].failures.iter().map(|failure| failure.kind.clone()).collect();
         assert!(matches!(kinds.as_slice(), [FailureKind::NotAvailable { .. }]), "{kinds:?}");
-        assert_eq!(mission.robots[0].is_left_to_others(), !by_operator);
+        assert_eq!(mission.robots[R0].is_left_to_others(), !by_operator);
         assert_eq!(mission.outcome().is_some(), !by_operator, "it is not waited for");
     }
 }
@@ -341,15 +346,19 @@ fn robot_taken_over_by_another_session_is_stopped_only_by_the_operator() {
 fn failure_without_id_after_a_stop_belongs_to_the_script_it_ended() {
     let mut played = Played::begun(begins_at_once(Tells::Reports));
     played.run_to_the_start();
-    played.mutes(0);
+    played.mutes(R0);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     let failed = urrcp::ControlResponse {
         error: super::super::bench::refusal(ErrorCode::Cancelled),
         steps_done: Some(1),
         ..super::super::bench::response(&"a".parse().unwrap(), None, Status::Failed, played.now)
     };
-    played.happens(Event::Received { robot: 0, message: Message::ControlResponse(failed) });
-    let script = played.mission.acts[0].script(ScriptRef { act: 0, member: 0, script: 0 });
+    played.happens(Event::Received { robot: R0, message: Message::ControlResponse(failed) });
+    let script = played.mission.acts[0].script(ScriptRef {
+        act: ActNumber::new(0),
+        member: MemberIndex::new(0),
+        script: 0,
+    });
     assert!(script.is_final() && script.steps_done() == 1, "{:?}", script.state());
-    assert!(played.mission.robots[0].awaits_stop(), "it confirms no stop");
+    assert!(played.mission.robots[R0].awaits_stop(), "it confirms no stop");
 }

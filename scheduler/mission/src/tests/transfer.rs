@@ -24,7 +24,7 @@ impl PlanTransfer for Planner {
         &self,
         _: &Choreography,
         _: Destination,
-        _: usize,
+        _: ActIndex,
         from: &Positions,
     ) -> Result<Option<downbeat_plan::Act>, String> {
         self.from.lock().unwrap().push(from.clone());
@@ -153,7 +153,7 @@ fn devices_at_their_default_positions_are_home() {
 fn no_robot_goes_home_if_none_can_take_part() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Home);
     let actions = {
-        let failing = vec![(0, broken()), (1, broken())];
+        let failing = vec![(R0, broken()), (R1, broken())];
         played.mission.fail_all(played.now, failing);
         std::mem::take(&mut played.mission.actions)
     };
@@ -166,13 +166,13 @@ fn no_robot_goes_home_if_none_can_take_part() {
 
 /// The event that the second robot's process has ended.
 fn gone() -> Event {
-    Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() }
+    Event::LinkDown { robot: R1, loss: Loss::Refused, reason: "refused".to_owned() }
 }
 
 #[test]
 fn lost_robot_does_not_keep_the_others_from_going_home() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
-    played.mute = vec![1];
+    played.mute = vec![R1];
     says(&mut played, Rest::Home);
     played.happens(gone());
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
@@ -232,7 +232,7 @@ fn stop_immediately_after_home_leaves_robots_in_place() {
 fn other_robots_go_home_after_a_failure_and_the_failed_one_stays() {
     let (mut played, _) = plays(Ok(true), OnFailure::Home);
     let actions = {
-        played.mission.fail(played.now, 1, broken());
+        played.mission.fail(played.now, R1, broken());
         std::mem::take(&mut played.mission.actions)
     };
     played.carry_out(actions);
@@ -245,11 +245,11 @@ fn other_robots_go_home_after_a_failure_and_the_failed_one_stays() {
 #[test]
 fn no_robot_goes_home_while_one_may_still_move() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
-    played.mute = vec![1];
-    played.mission.robots[1].settings.clock = ClockMode::Ntp;
+    played.mute = vec![R1];
+    played.mission.robots[R1].settings.clock = ClockMode::Ntp;
     let still: Vec<_> = vec![None];
     says(&mut played, Rest::Home);
-    played.mission.robots[1].left = still;
+    played.mission.robots[R1].left = still;
     played.run_until(played.now + ms(60_000));
     assert!(planner.from.lock().unwrap().is_empty());
     assert!(
@@ -273,7 +273,7 @@ fn stops_before_another_act(played: &mut Played, rest: Rest) {
     then.acts.push(after);
     played.mission.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
     let failed = (Outcome::Failed, "broken".to_owned());
-    played.mission.abort_because(played.now, failed, rest, Some(1));
+    played.mission.abort_because(played.now, failed, rest, Some(ActIndex::new(1)));
     let actions = std::mem::take(&mut played.mission.actions);
     played.carry_out(actions);
 }
@@ -347,7 +347,7 @@ fn position_that_never_rests_does_not_make_an_act_late() {
         Arc::make_mut(&mut played.mission.choreography).acts[1].wait = Wait::Instant(start);
         let _outcome = played.run_to_the_end();
         let starts = played.recorded.iter().filter_map(|record| match record {
-            Record::Prepared(promise) if promise.act == 1 => Some(promise.start - start),
+            Record::Prepared(promise) if promise.act == ActIndex::new(1) => Some(promise.start - start),
             _ => None,
         });
         assert_eq!(starts.collect::<Vec<_>>(), [Span::ZERO], "by sensor: {by_sensor}");
@@ -373,7 +373,7 @@ fn slowing_device_is_read_until_at_rest_before_the_act_after_a_failure() {
 #[test]
 fn device_goes_home_from_its_rest_position_while_another_robot_is_silent() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
-    played.mute = vec![1];
+    played.mute = vec![R1];
     played.slows = Some((played.now + ms(700), 0.01));
     says(&mut played, Rest::Home);
     played.happens(gone());
@@ -387,22 +387,22 @@ fn device_goes_home_from_its_rest_position_while_another_robot_is_silent() {
 fn robot_that_confirms_its_stop_late_plays_the_next_act() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mission.options.transfer = None;
-    played.mute = vec![1];
+    played.mute = vec![R1];
     stops_before_another_act(&mut played, Rest::InPlace);
     played.happens(gone());
     let goes_on = played.now + played.mission.options.patience + ms(1);
     played.run_until(goes_on);
     assert!(matches!(played.mission.phase, Phase::Performing));
     played.mute.clear();
-    played.happens(Event::LinkUp { robot: 1 });
+    played.happens(Event::LinkUp { robot: R1 });
     let _outcome = played.run_to_the_end();
-    let script = |(at, robot, message): &(Timestamp<Server>, usize, Message)| {
+    let script = |(at, robot, message): &(Timestamp<Server>, RobotIndex, Message)| {
         let Message::ControlRequest(request) = message else { return false };
         let moves = matches!(&request.command, urrcp::Command::Script(script) if !script.is_empty());
-        *at > goes_on && *robot == 1 && moves
+        *at > goes_on && *robot == R1 && moves
     };
     let sent = played.sent.iter().any(script);
-    let stop = &played.mission.robots()[1].stop;
+    let stop = &played.mission.robots()[R1].stop;
     assert!(sent && matches!(stop, Stop::None), "{sent}, {stop:?}");
     assert_eq!(fates(&played)[1], ActFate::Played);
 }

@@ -12,7 +12,7 @@ use urrcp::{RobotId, Span};
 use super::value_of;
 use crate::dry_run::{Circumstances, Rehearsal, Watched};
 use downbeat_mission::report::{Report, StopState};
-use downbeat_mission::{MissionOptions, Outcome};
+use downbeat_mission::{ActNumber, MissionOptions, Outcome};
 use downbeat_runtime::fleet;
 
 /// A fault to inject into a trial, or none.
@@ -246,7 +246,7 @@ fn rehearse(
     let machines = machines.map_err(|error| error.to_string())?;
     let options = MissionOptions {
         greeting: fleet::greeting(fleet),
-        first_act,
+        first_act: first_act.into(),
         transfer: Some(fleet::transfer(fleet)),
         ..MissionOptions::default()
     };
@@ -314,7 +314,8 @@ fn all_or_none(
     // If its fault occurs during an act, the next act may lack it; the others have to agree.
     let may_miss = |robot: &RobotId| is_faulty(robot) && injected.incident().is_some();
     let index_of = |robot: &RobotId| report.robots.iter().position(|row| row.robot == *robot);
-    let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
+    let begun: BTreeSet<ActNumber> =
+        watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
     for number in &begun {
         if !report.acts.iter().any(|act| act.number == *number) && report.acts_omitted == 0 {
             broken.push(format!("act {number} started but is missing from the report"));
@@ -515,7 +516,11 @@ mod tests {
             |_, watched| watched[1].begun.clear(),
             "the scenario: a, c started, but b did not",
         );
-        check(&refuses, |_, watched| watched[0].begun = [(0, 1)].into(), "a started, but b, c did not");
+        check(
+            &refuses,
+            |_, watched| watched[0].begun = [(ActNumber::new(0), 1)].into(),
+            "a started, but b, c did not",
+        );
         check(
             &Injected::None,
             |_, watched| watched[2].still_moves = true,

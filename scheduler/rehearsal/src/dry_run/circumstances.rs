@@ -1,5 +1,6 @@
 //! The circumstances of one trial: random network conditions, incidents, readings and operator behaviour, drawn from a world file.
 
+use downbeat_mission::RobotIndex;
 use downbeat_scripts::{
     Between, Delay, FleetRobot, Incident, LinkWorld, OperatorWorld, Reading, Trouble, World,
 };
@@ -31,7 +32,7 @@ pub(crate) struct Circumstances {
     pub(super) links: Vec<Option<Link>>,
     pub(super) incidents: Vec<Drawn>,
     /// Sensor readings, each with the time from which it applies, the robot's index, the sensor, and the value.
-    pub(super) readings: Vec<(Timestamp<Server>, usize, DeviceId, f64)>,
+    pub(super) readings: Vec<(Timestamp<Server>, RobotIndex, DeviceId, f64)>,
     pub(super) operator: Option<(OperatorWorld, Rng)>,
 }
 
@@ -39,7 +40,7 @@ pub(crate) struct Circumstances {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawn {
     /// Index of the robot in the mission.
-    pub(super) robot: usize,
+    pub(super) robot: RobotIndex,
     /// The act at whose start the time `at` begins to count. `None`: `at` counts from the start of the mission.
     pub(super) act: Option<String>,
     pub(super) at: Span,
@@ -99,7 +100,7 @@ impl Circumstances {
         seed: u64,
         begin: Timestamp<Server>,
     ) -> Self {
-        let in_mission = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);
+        let in_mission = |id: &RobotId| robots.iter().position(|robot| robot.id == *id).map(RobotIndex::new);
         let in_fleet = |robot: &FleetRobot| fleet.iter().position(|known| known.id == robot.id);
         let link = |index: usize, robot: &&FleetRobot| {
             let said = in_fleet(robot).and_then(|place| world.links.get(place)?.clone());
@@ -148,7 +149,7 @@ fn as_in_fleet(robot: &FleetRobot) -> LinkWorld {
     LinkWorld::with_delay(Delay::Between(Between { least, largest }))
 }
 
-fn happens(incident: &Incident, robot: usize, rng: &mut Rng) -> Option<Drawn> {
+fn happens(incident: &Incident, robot: RobotIndex, rng: &mut Rng) -> Option<Drawn> {
     // Draws the time even if the incident does not happen, so that a different probability does not change the time.
     let happens = rng.f64() < incident.probability;
     let at = between(rng, incident.at);

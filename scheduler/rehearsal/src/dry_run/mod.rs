@@ -23,7 +23,9 @@ pub use self::watch::Watched;
 use self::world::VirtualWorld;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::report::Report;
-use downbeat_mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
+use downbeat_mission::{
+    ActNumber, MissingParticipant, Mission, MissionOptions, Participant, Progress, RobotIndex,
+};
 
 /// Start of virtual time if no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
@@ -85,7 +87,7 @@ pub trait Audience {
     fn second(&mut self, now: Timestamp<Server>);
 
     /// Receives a value that the robot with the given index has set. Called only if values are kept or watched.
-    fn set(&mut self, _robot: usize, _entry: &LogEntry) {}
+    fn set(&mut self, _robot: RobotIndex, _entry: &LogEntry) {}
 }
 
 impl Audience for () {
@@ -124,7 +126,8 @@ impl Rehearsal {
                 robots[index].set_reading(sensor, reading_within(*range));
             }
         }
-        let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
+        let first =
+            choreography.acts.get(options.first_act.get()).into_iter().flat_map(|act| &act.plan.robots);
         for planned in first {
             let whose = participants.iter().position(|participant| participant.id == planned.robot);
             let Some(index) = whose else { continue };
@@ -221,8 +224,8 @@ pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
 
 /// Returns the number of the act that a request belongs to. Request ids end with the numbers of act, robot and script.
 #[must_use]
-pub fn act_of(request_id: &str) -> Option<u32> {
-    request_id.rsplit('/').nth(2)?.parse().ok()
+pub fn act_of(request_id: &str) -> Option<ActNumber> {
+    request_id.rsplit('/').nth(2)?.parse().ok().map(ActNumber::new)
 }
 
 #[cfg(test)]

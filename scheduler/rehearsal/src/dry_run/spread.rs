@@ -1,5 +1,6 @@
 //! Measures how far apart the scripts of an act started. It uses the true clock, which only a dry run knows.
 
+use downbeat_mission::{ActNumber, RobotIndex};
 use std::collections::HashMap;
 
 use downbeat_robot::set_log::LogEntry;
@@ -13,7 +14,7 @@ use downbeat_mission::report::ActReport;
 pub(super) struct TrueSpread {
     index_of: HashMap<RobotId, usize>,
     /// For each robot: the scripts that have begun, by act number and device.
-    firsts: Vec<HashMap<(u32, DeviceId), Starts>>,
+    firsts: Vec<HashMap<(ActNumber, DeviceId), Starts>>,
     largest: Option<Span>,
     largest_of_ends: Option<Span>,
     starts: Vec<ActStarts>,
@@ -78,12 +79,12 @@ impl TrueSpread {
         std::mem::take(&mut self.starts)
     }
 
-    pub(super) fn see(&mut self, robot: usize, entry: &LogEntry) {
+    pub(super) fn see(&mut self, robot: RobotIndex, entry: &LogEntry) {
         if entry.step.is_none() {
             return;
         }
         if let Some(act) = entry.request_id.as_deref().and_then(act_of) {
-            let starts = self.firsts[robot].entry((act, entry.device.clone())).or_default();
+            let starts = self.firsts[robot.get()].entry((act, entry.device.clone())).or_default();
             if starts.latest == entry.request_id {
                 if let Some(script) = starts.scripts.last_mut() {
                     script.gained = Span::from_nanos(entry.true_ns - script.began) - (entry.due - script.due);

@@ -9,15 +9,15 @@ use urrcp::{DeviceId, Server, Span, Timestamp};
 use super::operator::VirtualOperator;
 use super::world::VirtualWorld;
 use super::{Audience, Logs, Rehearsal, act_of};
-use downbeat_mission::Progress;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::report::Report;
+use downbeat_mission::{ActNumber, Progress, RobotIndex};
 
 /// The actual behaviour of one robot in a mission.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Watched {
     /// Number of scripts that the robot began, by act number.
-    pub begun: BTreeMap<u32, usize>,
+    pub begun: BTreeMap<ActNumber, usize>,
     /// The kind of the last motion of each device.
     pub last: BTreeMap<DeviceId, MotionKind>,
     /// Whether the robot was still active when the longest lease and the longest act had passed after the mission.
@@ -42,8 +42,8 @@ impl Audience for Watcher {
 
     fn second(&mut self, _: Timestamp<Server>) {}
 
-    fn set(&mut self, robot: usize, entry: &LogEntry) {
-        let watched = &mut self.0[robot];
+    fn set(&mut self, robot: RobotIndex, entry: &LogEntry) {
+        let watched = &mut self.0[robot.get()];
         watched.last.insert(entry.device.clone(), entry.motion);
         let act = entry.request_id.as_deref().and_then(act_of);
         if let (Some(act), Some(0), MotionKind::Set) = (act, entry.step, entry.motion) {

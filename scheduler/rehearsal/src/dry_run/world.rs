@@ -13,7 +13,7 @@ use super::spread::{ActStarts, TrueSpread};
 use super::{Audience, Cut, Logs};
 use crate::world::{Direction, Kernel, Virtual};
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
-use downbeat_mission::{Event, Loss, Progress, Record};
+use downbeat_mission::{Event, IndexVec, Loss, Progress, Record, RobotIndex};
 
 /// One second in nanoseconds.
 const SECOND: i64 = 1_000_000_000;
@@ -35,26 +35,26 @@ struct Place {
 /// A scheduled event other than the wake-up of a robot.
 pub(super) enum Item {
     /// A connection attempt starts.
-    Connect { robot: usize, link: LinkNumber },
+    Connect { robot: RobotIndex, link: LinkNumber },
     /// A connection attempt succeeds, if the robot's process runs.
-    Connected { robot: usize, link: LinkNumber },
+    Connected { robot: RobotIndex, link: LinkNumber },
     /// A message or another input arrives at a robot.
-    AtRobot { robot: usize, link: LinkNumber, input: Box<Input> },
+    AtRobot { robot: RobotIndex, link: LinkNumber, input: Box<Input> },
     /// An event from a robot arrives at the scheduler.
-    AtScheduler { robot: usize, link: LinkNumber, event: Box<Event> },
+    AtScheduler { robot: RobotIndex, link: LinkNumber, event: Box<Event> },
     /// A fault occurs.
-    Mishap { robot: usize, mishap: Mishap },
+    Mishap { robot: RobotIndex, mishap: Mishap },
     /// A robot's process restarts.
-    Back { robot: usize },
+    Back { robot: RobotIndex },
     /// A fault ends, and the robot obeys again.
-    Obeys { robot: usize, fault: Option<Fault> },
+    Obeys { robot: RobotIndex, fault: Option<Fault> },
     /// The reading of a sensor changes.
-    Reads { robot: usize, sensor: DeviceId, value: f64 },
+    Reads { robot: RobotIndex, sensor: DeviceId, value: f64 },
 }
 
 pub(super) struct VirtualWorld<'a, A> {
     kernel: Kernel<Item>,
-    places: Vec<Place>,
+    places: IndexVec<RobotIndex, Place>,
     /// Incidents whose time is unknown until their act is sent.
     awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
@@ -139,7 +139,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         (0..self.places.len()).map(|robot| wakes(robot).is_some()).collect()
     }
 
-    fn begin_connection(&mut self, robot: usize, link: LinkNumber) {
+    fn begin_connection(&mut self, robot: RobotIndex, link: LinkNumber) {
         let (now, by) = (self.kernel.now, self.kernel.now + CONNECT_TIMEOUT);
         let connects = |Link { path, rng }: &mut Link| path.connects(rng, now, by);
         match self.places[robot].link.as_mut().map_or(Some(now), connects) {
@@ -152,7 +152,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    fn reach_robot(&mut self, robot: usize, link: LinkNumber, input: Input) {
+    fn reach_robot(&mut self, robot: RobotIndex, link: LinkNumber, input: Input) {
         let connections = &mut self.places[robot].connections;
         let stands = match input {
             Input::LinkDown => connections.remove(&link),
@@ -160,16 +160,16 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         };
         if stands {
             let now = self.kernel.now.assume_clock();
-            self.kernel.robots.change(robot, |machine| machine.receive(now, LinkId(link.0), input));
+            self.kernel.robots.change(robot.get(), |machine| machine.receive(now, LinkId(link.0), input));
         }
     }
 
-    fn go_wrong(&mut self, robot: usize, mishap: Mishap) {
+    fn go_wrong(&mut self, robot: RobotIndex, mishap: Mishap) {
         let now = self.kernel.now;
         match mishap {
             Mishap::Dies { back_after } => {
                 self.collect(robot);
-                let Some(machine) = self.kernel.robots.end(robot) else { return };
+                let Some(machine) = self.kernel.robots.end(robot.get()) else { return };
                 self.places[robot].died = Some(machine);
                 for link in std::mem::take(&mut self.places[robot].connections) {
                     let (loss, reason) = (Loss::Closed, "the robot closed the connection".to_owned());
@@ -179,10 +179,10 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
                     self.kernel.put(now + after, Item::Back { robot });
                 }
             }
-            Mishap::Stalls { lasts } => self.kernel.robots.stall(robot, now + lasts),
+            Mishap::Stalls { lasts } => self.kernel.robots.stall(robot.get(), now + lasts),
             Mishap::Refuses { lasts } => {
                 let refuse = |machine: &mut SimulatedRobot| machine.replace_fault(Some(Fault::Refuse));
-                let fault = self.kernel.robots.change(robot, refuse);
+                let fault = self.kernel.robots.change(robot.get(), refuse);
                 if let (Some(fault), Some(lasts)) = (fault, lasts) {
                     self.kernel.put(now + lasts, Item::Obeys { robot, fault });
                 }
@@ -207,20 +207,20 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     /// Collects the values that `robot` has set since the last call.
-    fn collect(&mut self, robot: usize) {
-        let log = self.kernel.robots.change(robot, SimulatedRobot::take_log);
+    fn collect(&mut self, robot: RobotIndex) {
+        let log = self.kernel.robots.change(robot.get(), SimulatedRobot::take_log);
         let Some(mut log) = log else { return };
         for entry in &log {
             self.spread.see(robot, entry);
             self.audience.set(robot, entry);
         }
         if self.keeps == Logs::Kept {
-            self.logs[robot].append(&mut log);
+            self.logs[robot.get()].append(&mut log);
         }
     }
 
     /// Sends an event from a robot to the scheduler.
-    fn send_back(&mut self, robot: usize, link: LinkNumber, event: Event) {
+    fn send_back(&mut self, robot: RobotIndex, link: LinkNumber, event: Event) {
         let message = if let Event::Received { message, .. } = &event { Some(message) } else { None };
         match self.travel(robot, Direction::FromRobot, message) {
             Some(at) => self.kernel.put(at, Item::AtScheduler { robot, link, event: Box::new(event) }),
@@ -229,7 +229,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     /// Sends an input from the scheduler to a robot.
-    fn send_there(&mut self, robot: usize, link: LinkNumber, input: Input) {
+    fn send_there(&mut self, robot: RobotIndex, link: LinkNumber, input: Input) {
         let message = if let Input::Message(message) = &input { Some(message) } else { None };
         match self.travel(robot, Direction::ToRobot, message) {
             Some(at) => self.kernel.put(at, Item::AtRobot { robot, link, input: Box::new(input) }),
@@ -240,7 +240,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     /// Returns the arrival time of a message that is sent now; `None` if the message does not arrive and the connection breaks.
     fn travel(
         &mut self,
-        robot: usize,
+        robot: RobotIndex,
         way: Direction,
         message: Option<&Message>,
     ) -> Option<Timestamp<Server>> {
@@ -250,13 +250,13 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     /// Breaks a connection: the operating systems at both ends report that it timed out.
-    fn give_up(&mut self, robot: usize, link: LinkNumber) {
+    fn give_up(&mut self, robot: RobotIndex, link: LinkNumber) {
         let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
         self.reach_robot(robot, link, Input::LinkDown);
         self.arrive(robot, link, Event::LinkDown { robot, loss, reason });
     }
 
-    fn arrive(&mut self, robot: usize, link: LinkNumber, event: Event) {
+    fn arrive(&mut self, robot: RobotIndex, link: LinkNumber, event: Event) {
         let event = Box::new(event);
         self.arrived.push_back(Happened::OnLink { at: self.kernel.now, robot, link, event });
     }
@@ -270,9 +270,10 @@ impl<A: Audience> Virtual for VirtualWorld<'_, A> {
     }
 
     fn advance(&mut self, robot: usize) {
+        let robot = RobotIndex::new(robot);
         let mut out = std::mem::take(&mut self.out);
         let now = self.kernel.now.assume_clock();
-        self.kernel.robots.change(robot, |machine| machine.advance(now, &mut out));
+        self.kernel.robots.change(robot.get(), |machine| machine.advance(now, &mut out));
         for outgoing in out.drain(..) {
             match outgoing {
                 Outgoing::Message { link, message } => {
@@ -294,7 +295,7 @@ impl<A: Audience> Virtual for VirtualWorld<'_, A> {
             Item::Connect { robot, link } | Item::Connected { robot, link }
                 if self.places[robot].attempt != Some(link) => {}
             Item::Connect { robot, link } => self.begin_connection(robot, link),
-            Item::Connected { robot, link } if self.kernel.robots.get(robot).is_some() => {
+            Item::Connected { robot, link } if self.kernel.robots.get(robot.get()).is_some() => {
                 self.places[robot].connections.insert(link);
                 self.arrive(robot, link, Event::LinkUp { robot });
             }
@@ -307,17 +308,17 @@ impl<A: Audience> Virtual for VirtualWorld<'_, A> {
             Item::Mishap { robot, mishap } => self.go_wrong(robot, mishap),
             Item::Back { robot } => {
                 if let Some(died) = self.places[robot].died.take() {
-                    self.kernel.robots.begin(robot, died.restarted(self.kernel.now.assume_clock()));
+                    self.kernel.robots.begin(robot.get(), died.restarted(self.kernel.now.assume_clock()));
                 }
             }
             Item::Obeys { robot, fault } => {
-                self.kernel.robots.change(robot, |machine| machine.replace_fault(fault));
+                self.kernel.robots.change(robot.get(), |machine| machine.replace_fault(fault));
             }
             Item::Reads { robot, sensor, value } => {
                 if let Some(died) = &mut self.places[robot].died {
                     died.set_reading(sensor.clone(), value);
                 }
-                self.kernel.robots.change(robot, |machine| machine.set_reading(sensor, value));
+                self.kernel.robots.change(robot.get(), |machine| machine.set_reading(sensor, value));
             }
         }
     }
@@ -360,7 +361,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
         }
     }
 
-    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+    fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span) {
         if self.places[robot].link.is_some() {
             let older: Vec<LinkNumber> = self.places[robot].connections.iter().copied().collect();
             older.into_iter().for_each(|older| self.send_there(robot, older, Input::LinkDown));
@@ -371,7 +372,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
 
     fn send(
         &mut self,
-        robot: usize,
+        robot: RobotIndex,
         link: LinkNumber,
         message: Message,
         _: Urgency,
@@ -380,7 +381,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
         Ok(())
     }
 
-    fn cut(&mut self, robot: usize, link: LinkNumber) {
+    fn cut(&mut self, robot: RobotIndex, link: LinkNumber) {
         self.send_there(robot, link, Input::LinkDown);
     }
 

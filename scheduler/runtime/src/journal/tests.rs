@@ -4,8 +4,8 @@ use super::simulated::SimulatedDisk;
 use super::*;
 use downbeat_mission::report::Outcome;
 use downbeat_mission::{
-    ActFate, ActFlaws, ActOver, Failure, FailureKind, Fate, Kept, OutOfTolerance, Progressed, Promise,
-    PromisedScript, Rest, StepsLate, Stopping, Torn, line,
+    ActFate, ActFlaws, ActIndex, ActNumber, ActOver, Failure, FailureKind, Fate, Kept, OutOfTolerance,
+    Progressed, Promise, PromisedScript, Rest, StepsLate, Stopping, Torn, line,
 };
 
 fn opened() -> Opened {
@@ -40,8 +40,8 @@ fn at(millis: i64) -> Timestamp<Server> {
 
 fn prepared(number: u32) -> Record {
     Record::Prepared(Promise {
-        number,
-        act: 0,
+        number: ActNumber::new(number),
+        act: ActIndex::new(0),
         timestamp: at(10),
         start: at(500),
         lease: Span::from_millis(240),
@@ -53,9 +53,11 @@ fn prepared(number: u32) -> Record {
 fn written(folder: &Path) -> PathBuf {
     let mut journal = Journal::open(folder).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    for record in
-        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
-    {
+    for record in [
+        prepared(0),
+        Record::Decided { number: ActNumber::new(0), unnamed: vec![], doubt: Span::ZERO },
+        prepared(1),
+    ] {
         journal.append(at(2), &record).unwrap();
     }
     assert_eq!(journal.sync(), Ok(2));
@@ -79,7 +81,7 @@ fn promises_are_read_back() {
     let Contents { opened: first, kept, .. } = read(&written(folder.path())).unwrap();
     assert_eq!(first, opened());
     let promises: Vec<_> =
-        kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
+        kept.promises.iter().map(|(promise, progressed)| (promise.number.get(), *progressed)).collect();
     assert_eq!(promises, [(0, Progressed::Decided), (1, Progressed::Prepared)]);
     assert_eq!((kept.outcome, kept.torn), (None, None));
 }
@@ -174,7 +176,7 @@ fn ended_line(fate: ActFate, flaws: ActFlaws, again: bool) -> Vec<u8> {
         over: ActOver,
         again: bool,
     }
-    let (report, over) = (serde_json::json!({"number": 0}), ActOver { act: 0, fate });
+    let (report, over) = (serde_json::json!({"number": 0}), ActOver { act: ActIndex::new(0), fate });
     dated_line(at(9), &Ended { record: "act_ended", report, flaws, over, again }).unwrap()
 }
 
@@ -203,11 +205,14 @@ fn fates_of_played_and_skipped_acts_are_read_back_after_a_crash() {
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
     let timed_out = ActFate::TimedOut { awaited: "the operator's go".into(), within: Span::from_millis(5) };
-    let skipped = ActOver { act: 1, fate: timed_out };
+    let skipped = ActOver { act: ActIndex::new(1), fate: timed_out };
     bytes.extend(ended_line(ActFate::Played, ActFlaws::default(), false));
     bytes.extend(dated_line(at(10), &Record::ActSkipped(skipped.clone())).unwrap());
     std::fs::write(&path, bytes).unwrap();
-    assert_eq!(read(&path).unwrap().kept.course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
+    assert_eq!(
+        read(&path).unwrap().kept.course,
+        [ActOver { act: ActIndex::new(0), fate: ActFate::Played }, skipped]
+    );
 }
 
 fn life(folder: &Path) -> MissionState {
@@ -378,9 +383,11 @@ fn journal_truncated_anywhere_takes_further_records_and_reads_all_back() {
     for cut in lines[0] + 1..=bytes.len() {
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let mut journal = Journal::open(folder.path()).unwrap();
-        for record in
-            [prepared(7), Record::Decided { number: 7, unnamed: vec![], doubt: Span::ZERO }, prepared(8)]
-        {
+        for record in [
+            prepared(7),
+            Record::Decided { number: ActNumber::new(7), unnamed: vec![], doubt: Span::ZERO },
+            prepared(8),
+        ] {
             journal.append(at(9), &record).unwrap();
         }
         drop(journal);
@@ -394,7 +401,7 @@ fn journal_truncated_anywhere_takes_further_records_and_reads_all_back() {
             &[(0, Progressed::Decided), (1, Progressed::Prepared)],
         ][whole];
         let promises: Vec<_> =
-            kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
+            kept.promises.iter().map(|(promise, progressed)| (promise.number.get(), *progressed)).collect();
         assert_eq!(
             promises,
             [before, &[(7, Progressed::Decided), (8, Progressed::Prepared)]].concat(),
@@ -433,7 +440,9 @@ fn synced_records_survive_power_loss_wherever_unsynced_data_is_torn() {
         journal.begin(at(1), &opened()).unwrap();
         journal.append(at(2), &prepared(0)).unwrap();
         assert_eq!(journal.sync(), Ok(1));
-        journal.append(at(2), &Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }).unwrap();
+        journal
+            .append(at(2), &Record::Decided { number: ActNumber::new(0), unnamed: vec![], doubt: Span::ZERO })
+            .unwrap();
         let mut disk = journal.into_disk();
         let at_risk = disk.at_risk();
         disk.lose_power(survive);
@@ -482,9 +491,11 @@ async fn writer_thread_reports_number_of_durable_records_on_disk() {
     let mut journal = on(SimulatedDisk::default());
     journal.begin(at(1), &opened()).unwrap();
     let mut writer = Writer::start(journal).unwrap();
-    for record in
-        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
-    {
+    for record in [
+        prepared(0),
+        Record::Decided { number: ActNumber::new(0), unnamed: vec![], doubt: Span::ZERO },
+        prepared(1),
+    ] {
         writer.write(at(2), record).unwrap();
     }
     let mut recorded = 0;
@@ -643,7 +654,8 @@ fn journal_of_another_version_is_not_read() {
 
 #[test]
 fn interrupted_mission_can_be_resumed_if_all_its_promises_are_decided() {
-    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let decided =
+        |number| Record::Decided { number: ActNumber::new(number), unnamed: vec![], doubt: Span::ZERO };
     let fate = |records: Vec<Record>| {
         let folder = tempfile::tempdir().unwrap();
         let mut journal = Journal::open(folder.path()).unwrap();
@@ -698,11 +710,11 @@ fn withdrawn_mission_has_outcome_of_its_latest_stop_or_failed() {
 #[test]
 fn robots_may_have_moved_once_an_act_was_committed() {
     let moved = |records: &[Record]| kept(records).left().moved;
-    let decided = || Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO };
+    let decided = || Record::Decided { number: ActNumber::new(0), unnamed: vec![], doubt: Span::ZERO };
     assert!(!moved(&[]));
     assert!(!moved(&[prepared(0), decided()]));
-    assert!(moved(&[prepared(0), decided(), Record::Committed { number: 0 }]));
-    let skipped = |fate| Record::ActSkipped(ActOver { act: 0, fate });
+    assert!(moved(&[prepared(0), decided(), Record::Committed { number: ActNumber::new(0) }]));
+    let skipped = |fate| Record::ActSkipped(ActOver { act: ActIndex::new(0), fate });
     for fate in [ActFate::Played, ActFate::Stopped, ActFate::Unknown] {
         assert!(moved(&[skipped(fate)]));
     }
@@ -727,7 +739,8 @@ fn mission_with_act_withdrawn_and_prepared_again_can_be_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let decided =
+        |number| Record::Decided { number: ActNumber::new(number), unnamed: vec![], doubt: Span::ZERO };
     let stopping =
         Record::Stopping { outcome: Outcome::DecisionLate { by: Span::ZERO }, rest: Rest::InPlace, by: None };
     for record in [prepared(0), decided(0), stopping] {

@@ -39,7 +39,9 @@ mod tests {
     use crate::link::{Endpoint, Link};
     use crate::server_clock::ServerClock;
     use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
-    use downbeat_mission::{Event, Loss};
+    use downbeat_mission::{Event, Loss, RobotIndex};
+
+    const R0: RobotIndex = RobotIndex::new(0);
 
     fn host() -> Host {
         let block = r#"{"id": "r0", "api_version": "1", "devices": [{"id": "a", "available_control_types": {
@@ -52,7 +54,7 @@ mod tests {
         let (events, happened) = mpsc::channel(64);
         let endpoint = Endpoint::InProcess { host: host.handle(), index };
         let clock = ServerClock::anchored(Span::ZERO);
-        (Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO), happened)
+        (Link::open((R0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO), happened)
     }
 
     async fn next(happened: &mut mpsc::Receiver<Happened>) -> Option<Event> {
@@ -66,13 +68,13 @@ mod tests {
     async fn in_process_robot_answers_until_its_link_is_dropped() {
         let host = host();
         let (link, mut happened) = linked(&host, 0);
-        assert!(matches!(next(&mut happened).await, Some(Event::LinkUp { robot: 0 })));
+        assert!(matches!(next(&mut happened).await, Some(Event::LinkUp { robot: R0 })));
         for urgency in [Urgency::InOrder, Urgency::Overtaking] {
             let asks = Message::InitializationRequest(InitializationRequest::default());
             link.send(asks, urgency).unwrap();
             let event = next(&mut happened).await;
             assert!(
-                matches!(&event, Some(Event::Received { robot: 0, message: Message::InitializationBlock(block) }) if block.id.as_str() == "r0"),
+                matches!(&event, Some(Event::Received { robot: R0, message: Message::InitializationBlock(block) }) if block.id.as_str() == "r0"),
                 "{event:?}"
             );
         }

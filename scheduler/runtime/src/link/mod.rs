@@ -34,7 +34,7 @@ use urrcp::{KnownScripts, Message, Span};
 use crate::server_clock::ServerClock;
 use downbeat_mission::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::session;
-use downbeat_mission::{Event, Loss};
+use downbeat_mission::{Event, Loss, RobotIndex};
 
 /// Maximum number of messages that may wait to be sent to one robot. If there are more, the link is treated as broken.
 const OUTGOING_MAX: usize = 40_000;
@@ -159,7 +159,7 @@ impl Link {
     /// Opens a link after the delay `after`. `of` contains the robot's index and the link's number; they accompany each event sent to
     /// `events`.
     pub fn open(
-        of: (usize, LinkNumber),
+        of: (RobotIndex, LinkNumber),
         endpoint: Endpoint,
         clock: ServerClock,
         events: mpsc::Sender<Happened>,
@@ -172,7 +172,7 @@ impl Link {
 
     /// Like [`Link::open`], but limits the queue places that the link's events occupy, so that events of other links have room.
     pub(crate) fn open_beside_others(
-        of: (usize, LinkNumber),
+        of: (RobotIndex, LinkNumber),
         endpoint: Endpoint,
         of_robot: OfRobot,
         clock: ServerClock,
@@ -263,7 +263,7 @@ impl Queue {
 /// Timestamps the events of a link and sends them to the mission's loop.
 #[derive(Clone)]
 struct EventSink {
-    robot: usize,
+    robot: RobotIndex,
     /// The number of the link. `None` on an additional connection: its events do not change the link's state.
     link: Option<LinkNumber>,
     clock: ServerClock,
@@ -327,8 +327,8 @@ mod tests {
             let (events, mut happened) = mpsc::channel(1);
             let events = Events::Placed(events, Some(Arc::clone(&places)));
             let clock = ServerClock::anchored(urrcp::Span::ZERO);
-            let sink = EventSink { robot: 0, link: None, clock, events };
-            sink.put_long(Event::LinkUp { robot: 0 }, bytes).await;
+            let sink = EventSink { robot: RobotIndex::new(0), link: None, clock, events };
+            sink.put_long(Event::LinkUp { robot: RobotIndex::new(0) }, bytes).await;
             assert_eq!(PLACES - places.available_permits(), taken, "{bytes} bytes");
             drop(happened.recv().await);
             assert_eq!(places.available_permits(), PLACES, "it was heard");

@@ -315,7 +315,7 @@ mod tests {
     use crate::link::{Endpoint, Link, LinkEncoding};
     use crate::server_clock::ServerClock;
     use downbeat_mission::drive::{Happened, LinkNumber};
-    use downbeat_mission::{Event, Loss};
+    use downbeat_mission::{Event, Loss, RobotIndex};
 
     #[test]
     fn tls_failure_is_explained_in_terms_of_certificates_and_their_owners() {
@@ -455,7 +455,7 @@ mod tests {
         };
         let (events, mut happened) = mpsc::channel(9);
         let clock = ServerClock::anchored(urrcp::Span::ZERO);
-        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
+        let link = Link::open((RobotIndex::new(0), LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
         let Some(Happened::OnLink { event, .. }) = happened.recv().await else { panic!("nothing happened") };
         (link, happened, *event)
     }

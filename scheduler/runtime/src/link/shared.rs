@@ -7,7 +7,7 @@ use std::sync::Arc;
 use urrcp::{Command, ContentHash, RobotId, Script};
 
 use super::Endpoint;
-use downbeat_mission::Mission;
+use downbeat_mission::{Mission, RobotIndex};
 
 /// Minimum number of steps of a published script. Shorter scripts are written to each robot, because publishing would cost more than it
 /// saves.
@@ -31,7 +31,7 @@ pub(crate) struct SharedScripts {
 impl SharedScripts {
     /// Finds the shared scripts of each robot of a mission. Returns them in the order of the endpoints.
     pub(crate) fn of(mission: &Mission, endpoints: &[Endpoint]) -> Vec<Self> {
-        let ids = (0..endpoints.len()).map(|robot| (mission.robot_id(robot), robot));
+        let ids = (0..endpoints.len()).map(|robot| (mission.robot_id(RobotIndex::new(robot)), robot));
         let robots: HashMap<&RobotId, usize> = ids.collect();
         let mut places: HashMap<Place, Vec<(usize, &Script)>> = HashMap::new();
         for plan in mission.choreography().acts.iter().flat_map(|act| &act.plan.robots) {

@@ -17,7 +17,7 @@ use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Operator, StopLane};
 use downbeat_mission::drive::drive;
 use downbeat_mission::report::Report;
-use downbeat_mission::{Mission, Progress};
+use downbeat_mission::{Mission, Progress, RobotIndex};
 
 /// Optional resources of a mission, such as its journal. The mission returns them when it ends.
 #[derive(Debug, Default)]
@@ -55,7 +55,7 @@ pub async fn run_and_keep(
     tell: impl FnMut(Timestamp<Server>, &Progress),
     keep: &mut Keep,
 ) -> Report {
-    let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
+    let ids = (0..endpoints.len()).map(|robot| mission.robot_id(RobotIndex::new(robot)).clone()).collect();
     let before = Before {
         session: mission.options().session_on_the_wire(),
         devices: mission.moved_by_another().collect(),

@@ -16,7 +16,7 @@ use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Operator, Passage, StopLane};
 use downbeat_mission::clock::NtpState;
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
-use downbeat_mission::{Event, Mission, Progress, Record};
+use downbeat_mission::{Event, Mission, Progress, Record, RobotIndex};
 
 /// Maximum number of events that may wait for the mission. While this many wait, links send no further events.
 const EVENTS_MAX: usize = 65_536;
@@ -127,7 +127,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
         if let (Event::Received { robot, message }, Some(_)) = (&**event, &self.recording) {
             let (at, robot, message) = (*at, *robot, message.clone());
-            self.note(move |recording, ids| recording.received(at, &ids[robot], &message));
+            self.note(move |recording, ids| recording.received(at, &ids[robot.get()], &message));
         }
     }
 
@@ -201,24 +201,24 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         }
     }
 
-    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
-        let (endpoint, of_robot) = (self.endpoints[robot].clone(), self.of_robots[robot].clone());
+    fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span) {
+        let (endpoint, of_robot) = (self.endpoints[robot.get()].clone(), self.of_robots[robot.get()].clone());
         let (of, events, after) = ((robot, link), self.events.clone(), after.to_duration());
         let link = Link::open_beside_others(of, endpoint, of_robot, self.clock, events, after);
         if let Some(lane) = &self.stop_lane {
             lane.links(robot, &link);
         }
-        self.links[robot] = Some(link);
+        self.links[robot.get()] = Some(link);
     }
 
     fn send(
         &mut self,
-        robot: usize,
+        robot: RobotIndex,
         _: LinkNumber,
         message: Message,
         urgency: Urgency,
     ) -> Result<(), QueueFull> {
-        let Some(link) = &self.links[robot] else { return Ok(()) };
+        let Some(link) = &self.links[robot.get()] else { return Ok(()) };
         if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
             return Ok(());
         }
@@ -227,13 +227,13 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
         link.send(message, urgency)?;
         if let Some((at, message)) = copy {
-            self.note(move |recording, ids| recording.sent(at, &ids[robot], message));
+            self.note(move |recording, ids| recording.sent(at, &ids[robot.get()], message));
         }
         Ok(())
     }
 
-    fn cut(&mut self, robot: usize, _: LinkNumber) {
-        if let Some(link) = self.links[robot].take() {
+    fn cut(&mut self, robot: RobotIndex, _: LinkNumber) {
+        if let Some(link) = self.links[robot.get()].take() {
             link.cut();
         }
     }

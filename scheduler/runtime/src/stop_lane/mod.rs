@@ -26,7 +26,7 @@ pub use self::words::{MissionOver, Operator, OperatorHandle};
 use crate::link::{Endpoint, Link, SharedAllowance, Waiting};
 use crate::server_clock::ServerClock;
 pub use crate::signals::OnHangUp;
-use downbeat_mission::Rest;
+use downbeat_mission::{Rest, RobotIndex};
 
 /// Maximum number of the operator's commands that may wait for the mission.
 const WORDS_MAX: usize = 64;
@@ -148,7 +148,7 @@ impl StopLane {
             let devices = before.devices.get(robot).cloned().unwrap_or_default();
             let sent = watch::Sender::new(Sent::before(&devices, before.session.clone()));
             let guard = Guard {
-                robot,
+                robot: RobotIndex::new(robot),
                 endpoint: endpoint.clone(),
                 clock,
                 asked: SharedAllowance::default(),
@@ -186,18 +186,18 @@ impl StopLane {
     }
 
     /// Registers a link that the mission has made to a robot.
-    pub(crate) fn links(&self, robot: usize, link: &Link) {
-        self.robots[robot].links(link);
+    pub(crate) fn links(&self, robot: RobotIndex, link: &Link) {
+        self.robots[robot.get()].links(link);
     }
 
     /// Records that a link of the mission is up, so the robot can be reached.
-    pub(crate) fn reached(&self, robot: usize) {
-        self.robots[robot].reached();
+    pub(crate) fn reached(&self, robot: RobotIndex) {
+        self.robots[robot.get()].reached();
     }
 
     /// Notes the message that the mission is about to send, and returns whether it may be sent.
-    pub(crate) fn passes(&self, robot: usize, message: &Message) -> Passage {
-        match self.robots[robot].note(message) {
+    pub(crate) fn passes(&self, robot: RobotIndex, message: &Message) -> Passage {
+        match self.robots[robot.get()].note(message) {
             sent::Moves::Nothing => Passage::Open,
             // Noted first, checked second: either the lane knows of the message, or it is not sent.
             sent::Moves::Devices if matches!(*self.alarm.borrow(), Alarm::Ringing(_)) => Passage::Closed,

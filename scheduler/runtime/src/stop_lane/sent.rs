@@ -7,7 +7,7 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
 use crate::link::{Link, Outgoing};
-use downbeat_mission::session;
+use downbeat_mission::{RobotIndex, session};
 
 /// What a stop needs to know about the messages that the mission has sent to a robot.
 #[derive(Clone, Debug, Default)]
@@ -86,7 +86,7 @@ impl Sent {
 
     /// Returns a stop for each device that may move because of the mission's commands, each with its own request id. The stops bring
     /// devices to rest where they are, even if the mission moves them home afterwards.
-    pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
+    pub(super) fn stops(&self, now: Timestamp<Server>, robot: RobotIndex) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();
         let stop = |(index, device): (usize, &DeviceId)| {
@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
         assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
         assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
-        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3);
+        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), RobotIndex::new(3));
         let told = |(id, message): &(RequestId, Message)| {
             let Message::ControlRequest(request) = message else { panic!("{message:?}") };
             assert_eq!(request.command, Command::Script(Script::cancel()));
@@ -147,6 +147,6 @@ mod tests {
         let book = SentScripts::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
         assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
-        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0).is_empty());
+        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), RobotIndex::new(0)).is_empty());
     }
 }

@@ -14,7 +14,7 @@ use super::sent::Sent;
 use crate::link::{Endpoint, SharedAllowance, Waiting};
 use crate::server_clock::ServerClock;
 use downbeat_mission::drive::Happened;
-use downbeat_mission::{Event, Rest, may_be_for_a_stop};
+use downbeat_mission::{Event, Rest, RobotIndex, may_be_for_a_stop};
 
 /// Initial and maximum pause between attempts to connect. The pause doubles after each attempt.
 const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
@@ -36,7 +36,7 @@ enum Attempt {
 
 /// The data of the task that guards and stops one robot.
 pub(super) struct Guard {
-    pub(super) robot: usize,
+    pub(super) robot: RobotIndex,
     pub(super) endpoint: Endpoint,
     pub(super) clock: ServerClock,
     /// How much the robot may send, given the requests that the lane has sent to it.
@@ -190,7 +190,7 @@ impl Guard {
     }
 
     fn failed(&self, error: &std::io::Error, open: &Open) -> Attempt {
-        tracing::debug!(robot = self.robot, "the stop was not sent: {error}");
+        tracing::debug!(robot = self.robot.get(), "the stop was not sent: {error}");
         self.overtake(open);
         Attempt::Over
     }

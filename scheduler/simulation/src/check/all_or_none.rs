@@ -14,7 +14,7 @@ use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct, SentScript};
 use super::{ActStarts, DRIFT, Starts, Verdict};
 use crate::{DrawnRobot, Fault, Happened, Network};
-use downbeat_mission::ClockMode;
+use downbeat_mission::{ActNumber, ClockMode};
 use downbeat_rehearsal::dry_run::BEGIN;
 
 /// Maximum delay after which a robot still starts a script.
@@ -112,7 +112,7 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     let robots = plan.robots.iter().filter_map(|robot| facts.index_of(&robot.robot));
     let robots = robots.filter(|robot| facts.honest(*robot)).collect();
     let start = BEGIN + NEVER_SENT;
-    Some(ActStarts { number: 0, start, robots, starts: Starts::None })
+    Some(ActStarts { number: ActNumber::new(0), start, robots, starts: Starts::None })
 }
 
 /// Whether a robot takes part in the act at its start. A robot that was left out before the act's start does not, unless it moves

@@ -137,7 +137,7 @@ impl<'a> Facts<'a> {
                 // Numbers ascend, unless the disk of a process that died has lost promises.
                 let before = self.acts.iter_mut().filter(|act| act.promise.number >= promise.number);
                 before.for_each(|act| act.superseded = true);
-                let Some(written) = self.choreography_at(at).acts.get(promise.act) else { return };
+                let Some(written) = self.choreography_at(at).acts.get(promise.act.get()) else { return };
                 let scripts = promise.scripts.iter().filter_map(|script| self.sent(written, script, logs));
                 self.acts.push(SentAct {
                     promise,

@@ -11,7 +11,7 @@ use super::facts::{Facts, SentAct, SentScript};
 use super::{DRIFT, Verdict};
 use crate::world::PATIENCE;
 use crate::{Fault, Happened};
-use downbeat_mission::{Progress, Record};
+use downbeat_mission::{ActNumber, Progress, Record};
 
 /// Maximum time without a message from a robot whose scripts have no running lease.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
@@ -310,7 +310,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
 
 /// Returns the number of the last act whose lead, or the gap before it, may be too long: it exceeds the smallest limit that is possible.
 /// For later acts, [`compare`] cannot find a violation.
-pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
+pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<ActNumber> {
     let compared = facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act));
     let long = compared.filter(|act| {
         let late = |before: &SentAct<'_>| {

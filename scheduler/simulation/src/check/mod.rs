@@ -18,6 +18,7 @@ mod tests;
 mod times;
 mod truth;
 
+use downbeat_mission::ActNumber;
 use std::fmt;
 
 use urrcp::{Server, Span, Timestamp};
@@ -62,7 +63,7 @@ pub enum Starts {
 #[derive(Clone, Debug)]
 pub struct ActStarts {
     /// The number of the act in the mission.
-    pub number: u32,
+    pub number: ActNumber,
     /// The planned start of the act.
     pub start: Timestamp<Server>,
     /// The indices of the robots that took part in the act at its start and do not lie.
@@ -146,7 +147,7 @@ impl Ran {
     /// Returns the number of the last act for which a comparison with the same mission without faults could find a violation. `None` if
     /// there is no such act.
     #[must_use]
-    pub fn last_to_compare(&self) -> Option<u32> {
+    pub fn last_to_compare(&self) -> Option<ActNumber> {
         liveness::last_to_compare(&Facts::of(self))
     }
 

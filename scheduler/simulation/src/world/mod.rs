@@ -27,7 +27,7 @@ use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
 use crate::draw::zone;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::session::Session;
-use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
+use downbeat_mission::{ActNumber, Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::{Kernel, Virtual};
 
@@ -112,7 +112,7 @@ struct World {
     /// Whether the mission is stuck and will never end.
     hung: bool,
     /// The number of the act whose promise ends the run. `None`: the run is played to its end.
-    last_act: Option<u32>,
+    last_act: Option<ActNumber>,
     /// Whether the act `last_act` has been promised.
     is_promised: bool,
     records: Vec<(Timestamp<Server>, Record)>,
@@ -167,7 +167,7 @@ pub(super) fn play(drawn: Drawn, history: HistoryDetail) -> Ran {
 }
 
 /// Plays a drawn mission until the act with the number `act` is promised.
-pub(super) fn play_up_to(drawn: Drawn, act: u32) -> Ran {
+pub(super) fn play_up_to(drawn: Drawn, act: ActNumber) -> Ran {
     play_world(World { last_act: Some(act), ..World::new(drawn, HistoryDetail::Checks) })
 }
 

@@ -98,7 +98,7 @@ impl World {
             return;
         }
         for (at, message) in self.arrivals(robot, Direction::FromRobot, message) {
-            let event = Box::new(Event::Received { robot, message });
+            let event = Box::new(Event::Received { robot: robot.into(), message });
             self.kernel.put(at, Item::ToScheduler { robot, link, event });
         }
     }
@@ -136,7 +136,7 @@ impl World {
         if self.robots[robot].dead.contains(&link) {
             return;
         }
-        let event = Box::new(Event::LinkDown { robot, loss, reason: reason.to_owned() });
+        let event = Box::new(Event::LinkDown { robot: robot.into(), loss, reason: reason.to_owned() });
         let at = self.robots[robot].path.end_passes(at);
         self.kernel.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
@@ -159,7 +159,7 @@ impl World {
         let side = &mut self.robots[robot];
         if self.kernel.now < side.dead_until {
             side.dead.insert(link);
-            return self.tell_on_link(robot, link, Event::LinkUp { robot });
+            return self.tell_on_link(robot, link, Event::LinkUp { robot: robot.into() });
         }
         let reachable = side.path.blocked_until.iter().all(|until| self.kernel.now >= *until);
         if !reachable || self.kernel.robots.get(robot).is_none() {
@@ -167,7 +167,8 @@ impl World {
                 Machine::Up if reachable => (Loss::Refused, self.drawn.delay.1 * 2),
                 Machine::Up | Machine::Down => (Loss::Unreachable, CONNECT_FAILS),
             };
-            let event = Box::new(Event::LinkDown { robot, loss, reason: "no connection".to_owned() });
+            let event =
+                Box::new(Event::LinkDown { robot: robot.into(), loss, reason: "no connection".to_owned() });
             let at = self.kernel.now + after;
             return self.kernel.put(at, Item::ToScheduler { robot, link, event });
         }
@@ -177,7 +178,7 @@ impl World {
         } else {
             self.robot_reads(robot, link);
         }
-        self.tell_on_link(robot, link, Event::LinkUp { robot });
+        self.tell_on_link(robot, link, Event::LinkUp { robot: robot.into() });
     }
 
     /// Makes a robot read the connection `link`, and closes an older connection.

@@ -10,7 +10,7 @@ use super::{BEGIN, HistoryDetail, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
-    Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, ended_acts,
+    Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, RobotIndex, ended_acts,
 };
 use downbeat_rehearsal::world::Virtual;
 use downbeat_runtime::journal::simulated::SimulatedDisk;
@@ -342,7 +342,12 @@ impl World {
     pub(super) fn arrive_at_scheduler(&mut self, robot: usize, link: LinkId, event: Box<Event>) {
         if let Some(link) = self.scheduler.number_of(link).filter(|_| self.scheduler.is_running()) {
             let at = self.kernel.now + self.scheduler.ahead;
-            self.scheduler.arrived.push_back(drive::Happened::OnLink { at, robot, link, event });
+            self.scheduler.arrived.push_back(drive::Happened::OnLink {
+                at,
+                robot: robot.into(),
+                link,
+                event,
+            });
         }
     }
 
@@ -385,17 +390,17 @@ impl World {
             return;
         };
         if let drive::Happened::OnLink { robot, link, .. } = happened
-            && self.scheduler.links[*robot].is_some_and(|current| current != self.scheduler.id_of(*link))
+            && self.scheduler.links[robot.get()].is_some_and(|current| current != self.scheduler.id_of(*link))
         {
             // The event is the end of a connection that was replaced and is no longer used.
             return;
         }
         match &**event {
-            Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
-            Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),
+            Event::LinkUp { robot } => self.note(Happened::LinkUp(robot.get())),
+            Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(robot.get())),
             Event::Received { robot, message } => {
                 let message = (self.detail == HistoryDetail::Trace).then(|| message.clone());
-                self.note(Happened::FromRobot(*robot, message));
+                self.note(Happened::FromRobot(robot.get(), message));
             }
             _ => {}
         }
@@ -442,7 +447,8 @@ impl drive::World for World {
         }
     }
 
-    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+    fn connect(&mut self, robot: RobotIndex, link: LinkNumber, after: Span) {
+        let robot = robot.get();
         if !self.acts() {
             return;
         }
@@ -455,7 +461,7 @@ impl drive::World for World {
 
     fn send(
         &mut self,
-        robot: usize,
+        robot: RobotIndex,
         link: LinkNumber,
         message: Message,
         _: Urgency,
@@ -463,15 +469,16 @@ impl drive::World for World {
         if self.acts() {
             let link = self.scheduler.id_of(link);
             if self.scheduler.stalls_in_act {
-                self.scheduler.unsent.push((robot, link, message));
+                self.scheduler.unsent.push((robot.get(), link, message));
             } else {
-                self.send_to_robot(robot, link, message);
+                self.send_to_robot(robot.get(), link, message);
             }
         }
         Ok(())
     }
 
-    fn cut(&mut self, robot: usize, _: LinkNumber) {
+    fn cut(&mut self, robot: RobotIndex, _: LinkNumber) {
+        let robot = robot.get();
         if let Some(link) = self.scheduler.links[robot].take() {
             let at = self.kernel.now.max(self.scheduler.paused_until) + self.drawn.delay.1;
             self.kernel.put(at, Item::RobotLinkDown { robot, link });

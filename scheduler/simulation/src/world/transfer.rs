@@ -9,7 +9,7 @@ use urrcp::{
 };
 
 use crate::Drawn;
-use downbeat_mission::{Destination, PlanTransfer};
+use downbeat_mission::{ActIndex, Destination, PlanTransfer};
 
 /// The first positions of devices in an act, by robot and device.
 type Firsts<'a> = HashMap<(&'a RobotId, &'a DeviceId), f64>;
@@ -59,14 +59,14 @@ impl PlanTransfer for Planner {
         &self,
         choreography: &Choreography,
         to: Destination,
-        like: usize,
+        like: ActIndex,
         from: &Positions,
     ) -> Result<Option<Act>, String> {
-        let like = &choreography.acts[like];
+        let like = &choreography.acts[like.get()];
         let (name, firsts) = match to {
             Destination::Home => ("home", None),
             Destination::Act(act) => {
-                let uses = choreography.first_uses(act).into_iter();
+                let uses = choreography.first_uses(act.get()).into_iter();
                 let firsts = uses.filter_map(|first| choreography.first_position(first));
                 let firsts: Firsts<'_> =
                     firsts.map(|(robot, device, position)| ((robot, device), position)).collect();

@@ -47,7 +47,10 @@ fn no_request_is_sent_between_critical_instant_and_commitment() {
         let committed = committed.unwrap();
         assert!(committed >= critical && committed == bench.commitments()[0] + takes, "{leases:?}");
         for robot in 0..2 {
-            assert!(bench.asked_of(robot).any(|question| question.at == committed), "{leases:?} {robot}");
+            assert!(
+                bench.asked_of(RobotIndex::new(robot)).any(|question| question.at == committed),
+                "{leases:?} {robot}"
+            );
         }
     }
 }
@@ -57,11 +60,11 @@ fn messages_are_held_only_from_critical_instant_to_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     let critical = bench.timing().critical();
-    assert!(!bench.act.holds_messages_to(0, critical - Span::from_nanos(1)));
-    assert!(bench.act.holds_messages_to(0, critical) && bench.act.holds_messages_to(1, critical));
+    assert!(!bench.act.holds_messages_to(R0, critical - Span::from_nanos(1)));
+    assert!(bench.act.holds_messages_to(R0, critical) && bench.act.holds_messages_to(R1, critical));
     bench.run_until(bench.start());
     assert_eq!(bench.act.progress(), Progressed::Committed);
-    assert!(!bench.act.holds_messages_to(0, bench.now));
+    assert!(!bench.act.holds_messages_to(R0, bench.now));
 }
 
 #[test]
@@ -70,9 +73,9 @@ fn urgent_message_is_sent_to_member_while_lease_can_end_before_start() {
         let mut bench = Bench::pair();
         bench.decide(leases);
         let (critical, brink) = (bench.timing().critical(), bench.timing().brink());
-        assert_eq!(bench.act.lets_through(0, critical), lets_through, "{leases:?}");
-        assert!(!bench.act.lets_through(0, brink - ms(1)), "{leases:?}: no time is left");
-        assert!(!bench.act.lets_through(2, critical), "{leases:?}: no member");
+        assert_eq!(bench.act.lets_through(R0, critical), lets_through, "{leases:?}");
+        assert!(!bench.act.lets_through(R0, brink - ms(1)), "{leases:?}: no time is left");
+        assert!(!bench.act.lets_through(R2, critical), "{leases:?}: no member");
     }
 }
 
@@ -84,7 +87,7 @@ fn commitment_requires_an_answer_of_every_robot_in_last_two_rounds() {
         bench.decide(Leases::Shortened);
         let (critical, period) = (bench.timing().critical(), bench.timing().pace.period);
         bench.run_until(critical - period * periods - period / 2);
-        bench.silent = vec![1];
+        bench.silent = vec![R1];
         bench.run_until(bench.start());
         let went_on = bench.act.progress() == Progressed::Committed;
         assert_eq!(went_on, committed, "silent {periods} periods before: {:?}", bench.failed);
@@ -96,9 +99,9 @@ fn robot_that_lost_its_script_prevents_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(20));
-    let script = bench.scripts_of(1)[0];
+    let script = bench.scripts_of(R1)[0];
     bench.report(script, bench.now, RequestState::Unknown);
-    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]));
+    assert!(matches!(bench.failed.as_slice(), [(_, R1, FailureKind::Script { .. })]));
 }
 
 #[test]
@@ -162,7 +165,7 @@ fn process_stalled_past_commitment_does_not_record_one_later() {
 }
 
 /// Returns an act whose process stalls from well before the last rounds until `after` past the critical instant.
-fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
+fn held_up(leases: Leases, after: Span, silent: &[RobotIndex]) -> Bench {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(leases);
     let doubtful = bench.timing().doubtful_from();
@@ -188,7 +191,7 @@ fn process_stalled_over_last_rounds_asks_again_before_commitment() {
             bench.asked.iter().filter(approaching).filter(|asked| asked.at >= critical).collect();
         assert_eq!(
             late.iter().map(|asked| (asked.robot, asked.at)).collect::<Vec<_>>(),
-            [(0, critical + after), (1, critical + after), (2, critical + after)]
+            [(R0, critical + after), (R1, critical + after), (R2, critical + after)]
         );
         for question in late {
             let id = bench.act.script(bench.scripts_of(question.robot)[0]).request_id().unwrap();
@@ -201,7 +204,7 @@ fn process_stalled_over_last_rounds_asks_again_before_commitment() {
 fn robot_silent_during_a_stall_over_the_last_rounds_prevents_the_start() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         for after in [ms(1), ms(15)] {
-            let bench = held_up(leases, after, &[1]);
+            let bench = held_up(leases, after, &[R1]);
             assert!(
                 bench.failed.is_empty(),
                 "{leases:?} {after}: it had no time to answer, {:?}",
@@ -221,9 +224,9 @@ fn clock_set_after_decision_is_a_failure_before_commitment() {
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(1));
     let (now, there) = (bench.now, by_robot(bench.now) + ms(500));
-    bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+    bench.robots[R1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
     bench.run_until(bench.start());
-    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Clock { .. })]), "{:?}", bench.failed);
+    assert!(matches!(bench.failed.as_slice(), [(_, R1, FailureKind::Clock { .. })]), "{:?}", bench.failed);
 }
 
 #[test]
@@ -231,20 +234,20 @@ fn silent_robot_fails_early_enough_to_commit_the_others() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Without);
         bench.decide(leases);
-        bench.silent = vec![1];
+        bench.silent = vec![R1];
         bench.run_to_the_end();
         assert!(
-            matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Silent { .. })]),
+            matches!(bench.failed.as_slice(), [(_, R1, FailureKind::Silent { .. })]),
             "{leases:?} {:?}",
             bench.failed
         );
         assert_eq!(bench.withdrawn, None, "{leases:?}");
         let (failed, ..) = bench.failed[0];
         let committed =
-            bench.asked_of(0).find(|question| question.at >= bench.timing().critical()).unwrap().at;
+            bench.asked_of(R0).find(|question| question.at >= bench.timing().critical()).unwrap().at;
         assert!(failed <= committed && committed < bench.timing().brink(), "{leases:?}");
-        assert!(bench.asked_of(1).all(|question| question.at < failed));
-        assert!(bench.state(0, 0) == bench.state(2, 0) && bench.act.is_over());
+        assert!(bench.asked_of(R1).all(|question| question.at < failed));
+        assert!(bench.state(R0, 0) == bench.state(R2, 0) && bench.act.is_over());
     }
 }
 
@@ -252,7 +255,7 @@ fn silent_robot_fails_early_enough_to_commit_the_others() {
 fn robot_left_out_before_commitment_does_not_delay_the_others() {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(Leases::Shortened);
-    bench.act.drop_robot(1);
+    bench.act.drop_robot(R1);
     bench.commit_from_here();
     assert!(bench.failed.is_empty());
 }
@@ -261,8 +264,8 @@ fn robot_left_out_before_commitment_does_not_delay_the_others() {
 fn act_without_robots_is_over_without_commitment() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
-    bench.act.drop_robot(0);
-    bench.act.drop_robot(1);
+    bench.act.drop_robot(R0);
+    bench.act.drop_robot(R1);
     bench.pump();
     assert!(bench.act.is_over());
     assert!(bench.commitments().is_empty());
@@ -275,7 +278,7 @@ fn robot_without_inquiry_support_is_judged_by_its_other_responses() {
         let mut bench = Bench::new(&[Tells::Everything, Tells::Reports], &scripts);
         bench.decide(Leases::Fixed);
         bench.run_until(bench.timing().critical() - bench.timing().pace.period * 4);
-        bench.silent = if silent { vec![1] } else { Vec::new() };
+        bench.silent = if silent { vec![R1] } else { Vec::new() };
         bench.run_until(bench.start());
         assert_eq!(bench.act.progress() == Progressed::Committed, !silent);
         assert_eq!(bench.failed.len(), usize::from(silent));
@@ -287,10 +290,10 @@ fn following_script_sent_too_late_for_an_inquiry_does_not_prevent_start() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400), ("a", 400, 400)], &[("a", 0, 400)]];
     let mut bench = Bench::of(&[Tells::Everything; 2], 1, bench::played(&scripts));
     bench.decide(Leases::Shortened);
-    assert_eq!(bench.sent_to(0).len(), 1);
+    assert_eq!(bench.sent_to(R0).len(), 1);
     bench.run_until(bench.timing().critical() - Span::from_micros(100));
     // An earlier act has just ended on the robot: there is room, and the sent script waits for the commitment.
-    bench.act.sent(bench.now, bench.scripts_of(0)[1]);
+    bench.act.sent(bench.now, bench.scripts_of(R0)[1]);
     bench.run_until(bench.start());
     assert_eq!((bench.act.progress(), &bench.failed), (Progressed::Committed, &Vec::new()));
 }
@@ -302,7 +305,7 @@ fn much_later_script_keeps_its_lease_and_following_script_is_not_queried() {
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(1));
     let named = &bench.asked.last().unwrap().named;
-    let id = |script: usize| bench.act.script(bench.scripts_of(0)[script]).request_id().unwrap();
+    let id = |script: usize| bench.act.script(bench.scripts_of(R0)[script]).request_id().unwrap();
     let group_of = |script| named.iter().find(|group| group.requests.contains(id(script)));
     let lease_of = |script| group_of(script).unwrap().lease;
     let shortened = lease_of(0).unwrap();
@@ -317,13 +320,13 @@ fn much_later_script_keeps_its_lease_and_following_script_is_not_queried() {
 
 #[test]
 fn no_lease_is_shortened_outside_the_approach() {
-    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    let mut bench = Bench { silent: vec![R1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
-    assert!(bench.act.names_of(0, bench.now, None).iter().all(|group| group.lease.is_none()));
+    assert!(bench.act.names_of(R0, bench.now, None).iter().all(|group| group.lease.is_none()));
     let mut bench = Bench::pair();
     bench.play(Leases::Shortened);
-    assert!(bench.act.names_of(0, bench.now, None).iter().all(|group| group.lease.is_none()));
+    assert!(bench.act.names_of(R0, bench.now, None).iter().all(|group| group.lease.is_none()));
 }
 
 fn with_doubt(on_doubt: OnDoubt, policy: Policy) -> Bench {
@@ -338,10 +341,10 @@ fn on_doubt_determines_the_effect_of_an_unanswered_commitment() {
         for leases in [Leases::Shortened, Leases::Fixed] {
             let mut bench = with_doubt(on_doubt, Policy::Abort);
             bench.commit(leases);
-            bench.silent = vec![0];
+            bench.silent = vec![R0];
             bench.run_until(bench.start());
             let failed: Vec<_> = bench.failed.iter().map(|(_, robot, _)| *robot).collect();
-            assert_eq!(failed, vec![0; failures], "{on_doubt:?} {leases:?}");
+            assert_eq!(failed, vec![R0; failures], "{on_doubt:?} {leases:?}");
             let by = bench.timing().last_withdrawal();
             assert!(
                 bench.failed.iter().all(|(when, ..)| *when == by),
@@ -355,9 +358,9 @@ fn on_doubt_determines_the_effect_of_an_unanswered_commitment() {
 fn robots_that_answered_the_commitment_start_without_the_doubtful_one() {
     let mut bench = with_doubt(OnDoubt::Withdraw, Policy::Without);
     bench.commit(Leases::Shortened);
-    bench.silent = vec![0];
+    bench.silent = vec![R0];
     bench.run_to_the_end();
-    assert_eq!(bench.failed.iter().map(|(_, robot, _)| *robot).collect::<Vec<_>>(), [0]);
+    assert_eq!(bench.failed.iter().map(|(_, robot, _)| *robot).collect::<Vec<_>>(), [R0]);
     assert!(bench.act.is_over());
 }
 
@@ -402,7 +405,9 @@ fn rounds_continue_after_commitment_until_robots_have_started() {
     let (committed, begun) = (bench.now, bench.timing().begun());
     bench.run_until(begun);
     for robot in 0..2 {
-        let rounds = bench.asked_of(robot).filter(|question| question.at > committed && question.at < begun);
+        let rounds = bench
+            .asked_of(RobotIndex::new(robot))
+            .filter(|question| question.at > committed && question.at < begun);
         let rounds: Vec<_> = rounds.map(|question| question.at - committed).collect();
         assert!(rounds.len() >= 2, "{rounds:?} of {}", begun - committed);
     }
@@ -412,7 +417,7 @@ fn rounds_continue_after_commitment_until_robots_have_started() {
 fn no_commitment_window_is_reported_without_all_answers_before_start() {
     let mut bench = with_doubt(OnDoubt::Start, Policy::Without);
     bench.commit(Leases::Shortened);
-    bench.silent = vec![0];
+    bench.silent = vec![R0];
     bench.run_until(bench.start() + ms(5));
     bench.silent.clear();
     bench.run_to_the_end();
@@ -428,7 +433,7 @@ fn leases_end_together_even_if_the_clock_of_a_robot_is_ahead() {
     bench.run_until(bench.timing().critical() - ms(20));
     assert_eq!(bench.act.progress(), Progressed::Approaching);
     let brink = bench.timing().brink();
-    let until = |ahead| bench.act.names_of(0, bench.now, ahead)[0].until.unwrap();
+    let until = |ahead| bench.act.names_of(R0, bench.now, ahead)[0].until.unwrap();
     for ahead in [bench.timing().early(), ms(-35)] {
         assert_eq!(until(Some(ahead)), (brink + ahead).assume_clock());
     }
@@ -443,9 +448,9 @@ fn clock_change_is_detected_at_next_response_of_robot() {
         bench.run_until(bench.now + ms(10));
         assert_eq!(bench.act.strayed(bench.now, &bench.robots), []);
         let (now, there) = (bench.now, by_robot(bench.now) + ms(500));
-        bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        bench.robots[R1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
         let strayed = bench.act.strayed(now, &bench.robots);
-        assert!(matches!(strayed.as_slice(), [(1, FailureKind::Clock { .. })]), "{leases:?}: {strayed:?}");
+        assert!(matches!(strayed.as_slice(), [(R1, FailureKind::Clock { .. })]), "{leases:?}: {strayed:?}");
     }
 }
 
@@ -457,7 +462,7 @@ fn clock_change_within_tolerance_shifts_end_of_all_leases() {
         let (brink, commit_from) = (bench.timing().brink(), bench.timing().commit_from());
         let doubt = bench.timing().doubt();
         let (now, there) = (bench.now, by_robot(bench.now) + ms(ahead));
-        bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        bench.robots[R1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
         assert_eq!(bench.act.strayed(now, &bench.robots), []);
         let told = bench.act.allow_for(now, &bench.robots);
         let timing = bench.timing();
@@ -482,7 +487,7 @@ fn withdrawn_script_ends_before_its_start_and_no_earlier_than_needed() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
-    let withdrawn = |bench: &Bench| bench.act.to_withdraw(0, bench.now, None);
+    let withdrawn = |bench: &Bench| bench.act.to_withdraw(R0, bench.now, None);
     let [first, second] =
         withdrawn(&bench).try_into().expect("what begins a device, in groups of one instant");
     for (named, offset) in [(&first, ms(0)), (&second, ms(60))] {
@@ -491,7 +496,7 @@ fn withdrawn_script_ends_before_its_start_and_no_earlier_than_needed() {
         assert_eq!(named.lease, Some(bench.timing().lease_at(bench.now) + offset));
     }
     assert!(bench.now + first.lease.unwrap() <= bench.timing().brink());
-    let at_the_brink = bench.act.to_withdraw(0, bench.timing().brink(), None);
+    let at_the_brink = bench.act.to_withdraw(R0, bench.timing().brink(), None);
     assert!(at_the_brink.is_empty(), "its lease has ended by then");
     bench.commit_from_here();
     assert!(withdrawn(&bench).is_empty(), "it may have begun");
@@ -504,11 +509,11 @@ fn pending_limit_precedes_start_by_same_clock_at_any_clock_change() {
             Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100)]]);
         bench.decide(Leases::Shortened);
         let start = |offset: i64| by_robot(bench.timing().start + ms(offset));
-        let named = bench.act.to_withdraw(0, bench.now, Some(ahead));
+        let named = bench.act.to_withdraw(R0, bench.now, Some(ahead));
         let untils: Vec<_> = named.iter().filter_map(|named| named.until).collect();
         assert!(untils.len() == 2 && untils[0] < start(0) && untils[1] < start(60), "{ahead}");
         let of_request = |script: usize| {
-            let script = ScriptRef { act: bench.act.number(), member: 0, script };
+            let script = ScriptRef { act: bench.act.number(), member: MemberIndex::new(0), script };
             bench.act.pending_until(script, Some(ahead)).unwrap()
         };
         assert!(
@@ -522,7 +527,7 @@ fn pending_limit_precedes_start_by_same_clock_at_any_clock_change() {
 fn script_sent_after_commitment_may_start() {
     let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100)]]);
     bench.decide(Leases::Shortened);
-    let script = ScriptRef { act: bench.act.number(), member: 0, script: 1 };
+    let script = ScriptRef { act: bench.act.number(), member: MemberIndex::new(0), script: 1 };
     let start = by_robot(bench.timing().start + ms(100));
     assert!(bench.act.pending_until(script, None).unwrap() < start);
     bench.commit_from_here();
@@ -535,11 +540,11 @@ fn lone_robot_fails_if_its_clock_would_start_it_before_its_lease_ends() {
         let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100)]]);
         bench.decide(Leases::Shortened);
         let (now, there) = (bench.now, by_robot(bench.now) + ms(ahead));
-        bench.robots[0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        bench.robots[R0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
         assert_eq!(bench.act.strayed(now, &bench.robots), [], "it is with the others, as there are none");
         let told = bench.act.allow_for(now, &bench.robots);
         let failed = matches!(told.as_slice(), [ActAction::Fail(failing)]
-            if matches!(failing.as_slice(), [(0, FailureKind::Clock { .. })]));
+            if matches!(failing.as_slice(), [(R0, FailureKind::Clock { .. })]));
         assert_eq!(failed, fails, "{told:?}");
     }
 }
@@ -550,7 +555,7 @@ fn clock_set_back_beyond_a_lease_does_not_postpone_commitment_forever() {
         let mut bench = Bench::new(&[Tells::Reports], &[&[("a", 0, 100)]]);
         bench.decide(leases);
         let (now, there) = (bench.now, by_robot(bench.now) - ms(2_200));
-        bench.robots[0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        bench.robots[R0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
         assert_eq!(bench.act.strayed(now, &bench.robots), [], "it is with the others, as there are none");
         let _told = bench.act.allow_for(now, &bench.robots);
         let timing = bench.timing();
@@ -565,10 +570,10 @@ fn robot_not_reached_for_longer_than_its_lease_has_lost_its_script() {
     bench.decide(Leases::Fixed);
     let now = bench.now;
     let held = by_robot(now);
-    let ran_out = |before, at| bench.act.ran_out(now, 1, (before, at));
+    let ran_out = |before, at| bench.act.ran_out(now, R1, (before, at));
     assert_eq!(ran_out(held, held + LEASE), None);
     assert!(matches!(ran_out(held, held + LEASE + ms(1)), Some(FailureKind::Script { .. })));
     assert_eq!(ran_out(held - LEASE, held + ms(10)), None, "it had nothing before it accepted it");
     let late = bench.timing().no_return() + ms(1);
-    assert_eq!(bench.act.ran_out(late, 1, (held, held + LEASE * 2)), None);
+    assert_eq!(bench.act.ran_out(late, R1, (held, held + LEASE * 2)), None);
 }

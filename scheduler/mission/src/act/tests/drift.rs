@@ -20,7 +20,7 @@ fn drifted(now: Timestamp<Server>, ahead: i64) -> ClockEstimate {
 /// Lets the two robots of `bench`, whose clocks are measured, play their act.
 fn both_have_played(mut bench: Bench) -> Bench {
     bench.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
-    (0..2).for_each(|robot| bench.ask(robot));
+    (0..2).for_each(|robot| bench.ask(RobotIndex::new(robot)));
     bench.run_until(bench.now + ms(2_000));
     assert!(bench.act.members().iter().all(|member| member.is_done()), "{:?}", bench.failed);
     bench
@@ -46,13 +46,13 @@ fn apart(bench: &Bench) -> f64 {
 fn robot_whose_clock_was_set_during_the_act_is_not_checked_for_drift() {
     let mut bench = played();
     let now = bench.now;
-    bench.robots[0].clock = drifted(now, 0);
-    bench.robots[1].clock = drifted(now, 30);
+    bench.robots[R0].clock = drifted(now, 0);
+    bench.robots[R1].clock = drifted(now, 30);
     assert_eq!(apart(&bench), 30.0);
     let mut set = drifted(now - ms(1_000), 0);
     set.add(shows(now, 30));
     assert_eq!(set.steps(), 1);
-    bench.robots[1].clock = set;
+    bench.robots[R1].clock = set;
     assert_eq!(apart(&bench), 0.0);
 }
 

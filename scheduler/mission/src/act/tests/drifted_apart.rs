@@ -20,8 +20,8 @@ fn played(clock: ClockMode, robots: [(i64, i64, f64); 2]) -> Bench {
             let (now, there) = (start + at, by_robot(start + at) + ms(ahead) + gained);
             estimate.add(ClockSample::from_exchange(now, there, there, now));
         }
-        bench.robots[robot].settings.clock = clock;
-        bench.robots[robot].clock = estimate;
+        bench.robots[RobotIndex::new(robot)].settings.clock = clock;
+        bench.robots[RobotIndex::new(robot)].clock = estimate;
     }
     bench
 }

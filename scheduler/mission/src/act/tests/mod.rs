@@ -17,15 +17,15 @@ use urrcp::{ControlResponse, ErrorCode, RequestState, Server, Span, Status, Time
 
 use super::timing::{Leases, Measured, Pace};
 use super::{Act, ActAction, NamedScripts, Progressed, Timing};
-use crate::bench::{self, Planned, Tells, at, by_robot, ms, response};
+use crate::bench::{self, Planned, R0, R1, R2, Tells, at, by_robot, ms, response};
 use crate::clock::ClockSample;
 use crate::failure_kind::FailureKind;
 use crate::lead::LeadTime;
 use crate::ledger;
 use crate::record::Record;
-use crate::robot_state::{Link, Lost, Reading, RobotState};
+use crate::robot_state::{Link, Lost, Reading, Robots};
 use crate::script::{ScriptRef, ScriptState};
-use crate::{Loss, MissionOptions, Outcome, Progress};
+use crate::{ActIndex, ActNumber, Loss, MemberIndex, MissionOptions, Outcome, Progress, RobotIndex};
 
 const ROUND_TRIP: Span = Span::from_micros(400);
 const LEASE: Span = Span::from_millis(240);
@@ -37,7 +37,7 @@ enum Arrival {
     Recorded,
     /// The answer to a question that was sent at `asked`.
     Answer {
-        robot: usize,
+        robot: RobotIndex,
         asked: Timestamp<Server>,
     },
     Said {
@@ -50,7 +50,7 @@ enum Arrival {
 struct Question {
     at: Timestamp<Server>,
     stage: Progressed,
-    robot: usize,
+    robot: RobotIndex,
     named: Vec<NamedScripts>,
 }
 
@@ -64,7 +64,7 @@ enum Policy {
 /// An act, its robots, and all actions that it requested.
 struct Bench {
     now: Timestamp<Server>,
-    robots: Vec<RobotState>,
+    robots: Robots,
     act: Act,
     options: MissionOptions,
     policy: Policy,
@@ -73,17 +73,17 @@ struct Bench {
     /// How much later than planned the last robot may start.
     late: Span,
     /// Robots that do not answer at all.
-    silent: Vec<usize>,
+    silent: Vec<RobotIndex>,
     /// Robots that play but do not report by themselves, whatever they support.
-    mum: Vec<usize>,
+    mum: Vec<RobotIndex>,
     /// The state that the robots in `mum` report for all their scripts, instead of the true one.
     says_always: Option<RequestState>,
     arrivals: Vec<(Timestamp<Server>, Arrival)>,
     recorded: Vec<(Timestamp<Server>, Record)>,
     sent: Vec<(Timestamp<Server>, ScriptRef)>,
     asked: Vec<Question>,
-    reads: Vec<(Timestamp<Server>, usize, Reading)>,
-    failed: Vec<(Timestamp<Server>, usize, FailureKind)>,
+    reads: Vec<(Timestamp<Server>, RobotIndex, Reading)>,
+    failed: Vec<(Timestamp<Server>, RobotIndex, FailureKind)>,
     withdrawn: Option<(Timestamp<Server>, Outcome)>,
     told: Vec<(Timestamp<Server>, Progress)>,
     went: Option<downbeat_plan::Way>,
@@ -96,12 +96,12 @@ impl Bench {
 
     fn of(tells: &[Tells], queue: usize, choreography: Arc<Choreography>) -> Self {
         let robots = robots(tells, queue);
-        let mut act = Act::new(choreography, 0, 0, &robots, at(0), None);
+        let mut act = Act::new(choreography, ActIndex::new(0), ActNumber::new(0), &robots, at(0), None);
         act.comes_next(at(0));
         Self::around(act, robots)
     }
 
-    fn around(act: Act, robots: Vec<RobotState>) -> Self {
+    fn around(act: Act, robots: Robots) -> Self {
         Self {
             now: at(0),
             robots,
@@ -234,7 +234,7 @@ impl Bench {
         }
     }
 
-    fn fail(&mut self, robot: usize, kind: FailureKind) {
+    fn fail(&mut self, robot: RobotIndex, kind: FailureKind) {
         self.failed.push((self.now, robot, kind));
         match self.policy {
             Policy::Abort => self.withdrawn = self.withdrawn.take().or(Some((self.now, Outcome::NotStarted))),
@@ -242,7 +242,7 @@ impl Bench {
         }
     }
 
-    fn refill(&mut self, robot: usize) {
+    fn refill(&mut self, robot: RobotIndex) {
         let scripts = ledger::sendable(std::slice::from_ref(&self.act), robot, &self.robots[robot]);
         scripts.into_iter().for_each(|script| self.send(script));
     }
@@ -269,7 +269,7 @@ impl Bench {
         }
     }
 
-    fn ask(&mut self, robot: usize) {
+    fn ask(&mut self, robot: RobotIndex) {
         let hushed = self.act.holds_messages_to(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
         self.robots[robot].questions.asked(self.now);
@@ -279,7 +279,7 @@ impl Bench {
     }
 
     /// Passes a robot's answer to the act: its clock times, and the states of its scripts.
-    fn answer(&mut self, robot: usize, asked: Timestamp<Server>) {
+    fn answer(&mut self, robot: RobotIndex, asked: Timestamp<Server>) {
         let there = by_robot(asked + ROUND_TRIP / 2);
         self.robots[robot].clock.add(ClockSample::from_exchange(asked, there, there, self.now));
         self.robots[robot].questions.answer(asked);
@@ -341,22 +341,22 @@ impl Bench {
     }
 
     /// Returns the scripts of a robot in this act.
-    fn scripts_of(&self, robot: usize) -> Vec<ScriptRef> {
-        let member = self.act.members().iter().position(|member| member.robot == robot).unwrap();
+    fn scripts_of(&self, robot: RobotIndex) -> Vec<ScriptRef> {
+        let member = self.act.members().position(|member| member.robot == robot).unwrap();
         let scripts = self.act.members()[member].scripts().len();
         (0..scripts).map(|script| ScriptRef { act: self.act.number(), member, script }).collect()
     }
 
-    fn state(&self, robot: usize, script: usize) -> &ScriptState {
+    fn state(&self, robot: RobotIndex, script: usize) -> &ScriptState {
         self.act.script(self.scripts_of(robot)[script]).state()
     }
 
-    fn sent_to(&self, robot: usize) -> Vec<(Timestamp<Server>, usize)> {
+    fn sent_to(&self, robot: RobotIndex) -> Vec<(Timestamp<Server>, usize)> {
         let of_robot = |(_, script): &&(Timestamp<Server>, ScriptRef)| self.act.robot_of(*script) == robot;
         self.sent.iter().filter(of_robot).map(|(at, script)| (*at, script.script)).collect()
     }
 
-    fn asked_of(&self, robot: usize) -> impl Iterator<Item = &Question> {
+    fn asked_of(&self, robot: RobotIndex) -> impl Iterator<Item = &Question> {
         self.asked.iter().filter(move |question| question.robot == robot)
     }
 
@@ -393,14 +393,14 @@ impl Bench {
         assert_eq!(self.act.progress(), Progressed::Playing);
     }
 
-    fn break_link(&mut self, robot: usize) {
+    fn break_link(&mut self, robot: RobotIndex) {
         let (reason, loss) = ("cut".to_owned(), Loss::Closed);
         let lost = Lost { reason, loss, since: self.now, failed: self.now, connecting: true, give_up: None };
         self.robots[robot].link = Link::Lost(lost);
     }
 }
 
-fn robots(tells: &[Tells], queue: usize) -> Vec<RobotState> {
+fn robots(tells: &[Tells], queue: usize) -> Robots {
     let robot = |(index, tells): (usize, &Tells)| bench::robot(&format!("r{index}"), *tells, queue);
     tells.iter().enumerate().map(robot).collect()
 }

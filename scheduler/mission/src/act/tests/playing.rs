@@ -14,7 +14,7 @@ fn chain(tells: Tells, queue: usize) -> Bench {
 
 /// Returns the time at which each script was sent, relative to the start.
 fn sent_at(bench: &Bench) -> Vec<Span> {
-    bench.sent_to(0).iter().map(|(at, _)| *at - bench.start()).collect()
+    bench.sent_to(R0).iter().map(|(at, _)| *at - bench.start()).collect()
 }
 
 #[test]
@@ -25,7 +25,7 @@ fn act_is_over_when_every_script_has_completed() {
     assert!(bench.act.is_playing());
     bench.run_until(bench.timing().end + ms(1));
     assert!(bench.act.is_over());
-    assert_eq!((bench.state(0, 0), bench.state(1, 0)), (&COMPLETED, &COMPLETED));
+    assert_eq!((bench.state(R0, 0), bench.state(R1, 0)), (&COMPLETED, &COMPLETED));
 }
 
 #[test]
@@ -51,7 +51,7 @@ fn movement_of_a_left_out_robot_does_not_delay_end_of_act() {
     let bench = Bench::of(&[Tells::Everything; 2], 2, Arc::new(choreography));
     let mut bench = Bench { policy: Policy::Without, ..bench };
     bench.play(Leases::Shortened);
-    bench.act.drop_robot(0);
+    bench.act.drop_robot(R0);
     bench.run_until(bench.start() + ms(505));
     assert!(bench.act.is_over());
 }
@@ -59,14 +59,14 @@ fn movement_of_a_left_out_robot_does_not_delay_end_of_act() {
 #[test]
 fn script_that_fails_after_start_without_step_count_may_have_begun() {
     for (steps_done, state) in [(None, ScriptState::Unknown), (Some(0), failed())] {
-        let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+        let mut bench = Bench { mum: vec![R1], ..Bench::pair() };
         bench.play(Leases::Shortened);
         bench.run_until(bench.start() + ms(100));
-        let script = bench.scripts_of(1)[0];
+        let script = bench.scripts_of(R1)[0];
         let error = crate::bench::refusal(ErrorCode::Cancelled);
         let response = ControlResponse { error, steps_done, ..bench.response(script, Status::Failed) };
         bench.take_response(script, &response);
-        assert_eq!((bench.state(1, 0), bench.failed.len()), (&state, 1));
+        assert_eq!((bench.state(R1, 0), bench.failed.len()), (&state, 1));
     }
 }
 
@@ -93,7 +93,7 @@ fn robot_without_reports_is_asked_when_a_script_should_have_ended() {
     let sent = sent_at(&bench);
     assert!(sent[2] > ms(200) && sent[2] < ms(300) && sent[3] > ms(400) && sent[3] < ms(500), "{sent:?}");
     assert!(bench.act.is_over());
-    assert_eq!(bench.state(0, 3), &COMPLETED);
+    assert_eq!(bench.state(R0, 3), &COMPLETED);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn scripts_of_a_robot_that_reports_nothing_expire_as_unknown() {
     let sent = sent_at(&bench);
     assert!(sent[2] > ms(200) && sent[2] < ms(300) && sent[3] > ms(400) && sent[3] < ms(500), "{sent:?}");
     assert!(bench.act.is_over());
-    assert!((0..4).all(|script| bench.state(0, script) == &ScriptState::Unknown), "never completed");
+    assert!((0..4).all(|script| bench.state(R0, script) == &ScriptState::Unknown), "never completed");
     assert!(bench.failed.is_empty());
 }
 
@@ -175,16 +175,16 @@ fn shortened_lease_of_a_device_that_begins_later_must_be_renewed() {
 
 #[test]
 fn overdue_report_is_requested_before_its_robot_fails() {
-    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    let mut bench = Bench { mum: vec![R1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Held);
     let grace = bench.act.report_grace(&bench.robots);
     bench.run_to_the_end();
     let due = bench.start() + grace;
-    assert!(bench.asked_of(1).any(|question| question.at >= due && question.at < due + ms(2)));
+    assert!(bench.asked_of(R1).any(|question| question.at >= due && question.at < due + ms(2)));
     // The end is later by the possible lateness of the robot's clock.
     assert!(
-        matches!(bench.failed.as_slice(), [(when, 1, FailureKind::Silent { .. })]
+        matches!(bench.failed.as_slice(), [(when, R1, FailureKind::Silent { .. })]
             if *when >= due + grace && *when < due + grace + ms(1)),
         "{:?}",
         bench.failed
@@ -197,7 +197,7 @@ fn one_after_another(robots: usize) -> Bench {
         (0..robots).map(|robot| vec![("a", i64::try_from(robot).unwrap(), 400)]).collect();
     let scripts: Vec<&[Planned]> = scripts.iter().map(Vec::as_slice).collect();
     let bench = Bench::new(&vec![Tells::Everything; robots], &scripts);
-    Bench { mum: (0..robots).collect(), ..bench }
+    Bench { mum: (0..robots).map(RobotIndex::new).collect(), ..bench }
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn robots_with_delayed_reports_and_answers_are_not_asked_repeatedly() {
     bench.run_until(bench.start() + grace * 2 - ms(1));
     for robot in 0..100 {
         let playing = |question: &&Question| question.stage == Progressed::Playing;
-        let asked = bench.asked_of(robot).filter(playing).count();
+        let asked = bench.asked_of(RobotIndex::new(robot)).filter(playing).count();
         assert_eq!(asked, 1, "robot {robot}");
     }
     assert!(bench.failed.is_empty());
@@ -220,59 +220,59 @@ fn lost_request_for_an_overdue_report_is_repeated() {
     let mut bench = one_after_another(2);
     bench.play(Leases::Shortened);
     let grace = bench.act.report_grace(&bench.robots);
-    bench.silent = vec![0];
+    bench.silent = vec![R0];
     bench.run_until(bench.start() + grace + ms(100));
     bench.silent.clear();
     bench.run_to_the_end();
     assert!(bench.failed.is_empty(), "{:?}", bench.failed);
-    assert_eq!((bench.state(0, 0), bench.state(1, 0)), (&COMPLETED, &COMPLETED));
+    assert_eq!((bench.state(R0, 0), bench.state(R1, 0)), (&COMPLETED, &COMPLETED));
 }
 
 #[test]
 fn answer_replaces_a_lost_report() {
-    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    let mut bench = Bench { mum: vec![R1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.run_to_the_end();
     assert!(bench.failed.is_empty());
-    assert_eq!(bench.state(1, 0), &COMPLETED);
+    assert_eq!(bench.state(R1, 0), &COMPLETED);
 }
 
 #[test]
 fn robot_without_reports_fails_if_its_script_never_ends() {
-    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
+    let mut bench = Bench { mum: vec![R0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Running);
     bench.run_to_the_end();
-    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Silent { .. })]));
+    assert!(matches!(bench.failed.as_slice(), [(_, R0, FailureKind::Silent { .. })]));
 }
 
 #[test]
 fn robot_back_after_a_long_break_is_asked_before_it_fails() {
     let mut bench = Bench { policy: Policy::Without, ..Bench::pair() };
     bench.play(Leases::Shortened);
-    bench.break_link(1);
-    bench.silent = vec![1];
+    bench.break_link(R1);
+    bench.silent = vec![R1];
     bench.run_until(bench.timing().end + ms(3_000));
     assert!(bench.failed.is_empty(), "without a link nothing is awaited");
-    bench.robots[1].connected(at(0));
-    assert!(bench.robots[1].named());
+    bench.robots[R1].connected(at(0));
+    assert!(bench.robots[R1].named());
     bench.silent.clear();
-    bench.act.drop_robot(0);
+    bench.act.drop_robot(R0);
     bench.pump();
     assert!(bench.failed.is_empty(), "{:?}", bench.failed);
-    bench.ask(1);
+    bench.ask(R1);
     bench.run_to_the_end();
     bench.run_until(bench.now + ms(2_000));
-    assert_eq!((bench.failed.len(), bench.state(1, 0)), (0, &COMPLETED));
+    assert_eq!((bench.failed.len(), bench.state(R1, 0)), (0, &COMPLETED));
 }
 
 #[test]
 fn act_is_due_at_once_when_the_awaited_robot_is_left_out() {
-    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    let mut bench = Bench { mum: vec![R1], ..Bench::pair() };
     bench.play(Leases::Shortened);
     bench.run_until(bench.timing().end + ms(10));
-    assert_eq!(bench.state(0, 0), &COMPLETED);
-    bench.act.drop_robot(1);
+    assert_eq!(bench.state(R0, 0), &COMPLETED);
+    bench.act.drop_robot(R1);
     assert!(bench.wakeup().is_some_and(|at| at <= bench.now));
     bench.run_until(bench.now);
     assert!(bench.act.is_over());
@@ -280,13 +280,13 @@ fn act_is_due_at_once_when_the_awaited_robot_is_left_out() {
 
 #[test]
 fn start_error_is_actual_minus_planned_by_the_robots_own_clock() {
-    let mut bench = Bench { mum: vec![0, 1], ..Bench::pair() };
+    let mut bench = Bench { mum: vec![R0, R1], ..Bench::pair() };
     bench.play(Leases::Shortened);
-    let script = bench.scripts_of(1)[0];
+    let script = bench.scripts_of(R1)[0];
     let event_timestamp = Some(by_robot(bench.start()) + Span::from_micros(70));
     let response = ControlResponse { event_timestamp, ..bench.response(script, Status::Started) };
     bench.take_response(script, &response);
-    let member = bench.act.member(1).unwrap();
+    let member = bench.act.member(R1).unwrap();
     assert_eq!(bench.act.start_error(member, bench.act.script(script)), Some(Span::from_micros(70)));
 }
 
@@ -307,27 +307,27 @@ fn next_script_begins_later_than_now() {
     let mut bench = chain(Tells::Everything, 2);
     bench.play(Leases::Shortened);
     let start = bench.start();
-    assert_eq!(bench.act.next_begin(0, start + ms(199)), Some(start + ms(200)));
-    assert_eq!(bench.act.next_begin(0, start + ms(200)), None, "no other is out");
+    assert_eq!(bench.act.next_begin(R0, start + ms(199)), Some(start + ms(200)));
+    assert_eq!(bench.act.next_begin(R0, start + ms(200)), None, "no other is out");
 }
 
 #[test]
 fn unreported_script_expires_at_its_end_by_a_clock_that_is_behind() {
     let mut bench = Bench::new(&[Tells::Nothing], &[&[("a", 0, 400)]]);
     bench.play(Leases::Fixed);
-    bench.robots[0].shift = ms(40);
+    bench.robots[R0].shift = ms(40);
     let lapses = bench.timing().end + ms(40) + super::super::LAPSE;
     bench.run_until(lapses - ms(1));
-    assert!(bench.act.script(bench.scripts_of(0)[0]).is_out(), "{:?}", bench.state(0, 0));
+    assert!(bench.act.script(bench.scripts_of(R0)[0]).is_out(), "{:?}", bench.state(R0, 0));
     bench.run_until(lapses + ms(2));
-    assert_eq!(bench.state(0, 0), &ScriptState::Unknown);
+    assert_eq!(bench.state(R0, 0), &ScriptState::Unknown);
 }
 
 #[test]
 fn robot_that_reports_fewer_steps_than_before_fails() {
-    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    let mut bench = Bench { mum: vec![R1], ..Bench::pair() };
     bench.play(Leases::Shortened);
-    let script = bench.scripts_of(1)[0];
+    let script = bench.scripts_of(R1)[0];
     let id = bench.act.script(script).request_id().cloned().unwrap();
     for (after, steps_done, failures) in [(100, Some(1), 0), (110, Some(0), 1)] {
         bench.run_until(bench.start() + ms(after));
@@ -337,34 +337,34 @@ fn robot_that_reports_fewer_steps_than_before_fails() {
         bench.carry_out(noted.actions);
         assert_eq!(bench.failed.len(), failures, "{steps_done:?}");
     }
-    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Claim { .. })]));
+    assert!(matches!(bench.failed.as_slice(), [(_, R1, FailureKind::Claim { .. })]));
 }
 
 #[test]
 fn reported_start_is_checked_against_the_time_sent_to_the_robot() {
-    let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]) };
+    let mut bench = Bench { silent: vec![R0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]) };
     let there = by_robot(at(0)) + ms(500);
-    bench.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+    bench.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
     bench.pump();
     let timing = timing(&bench.act, bench.now, Leases::Shortened, ms(1));
     let (_, actions) = bench.act.promise(timing, &bench.robots, None, |_| ms(500));
     bench.carry_out(actions);
     bench.run_until(at(10));
-    bench.say(bench.scripts_of(0)[0], Status::Started);
+    bench.say(bench.scripts_of(R0)[0], Status::Started);
     assert!(bench.start() > at(200));
-    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
+    assert!(matches!(bench.failed.as_slice(), [(_, R0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
 }
 
 #[test]
 fn script_that_begins_later_cannot_have_started_with_the_act() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("b", 300, 400)]];
-    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
+    let mut bench = Bench { mum: vec![R0], ..Bench::new(&[Tells::Everything], &scripts) };
     bench.play(Leases::Shortened);
-    let [first, later] = bench.scripts_of(0)[..] else { panic!("two") };
+    let [first, later] = bench.scripts_of(R0)[..] else { panic!("two") };
     bench.say(first, Status::Started);
     assert!(bench.failed.is_empty(), "{:?}", bench.failed);
     bench.say(later, Status::Started);
-    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
+    assert!(matches!(bench.failed.as_slice(), [(_, R0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
 }
 
 #[test]
@@ -373,7 +373,7 @@ fn script_can_have_ended_once_its_end_is_past_by_the_clock_of_its_robot() {
     bench.pump();
     let timing = timing(&bench.act, bench.now, Leases::Shortened, ms(1));
     let _sent = bench.act.promise(timing, &bench.robots, None, |_| ms(500));
-    let script = bench.scripts_of(0)[0];
+    let script = bench.scripts_of(R0)[0];
     let end = by_robot(bench.start() + ms(400 + 500));
     let ended = [-100, 0].map(|after| bench.act.can_have_ended(script, end + ms(after)));
     assert_eq!(ended, [false, true]);
@@ -385,8 +385,8 @@ fn scenario_reading_is_stored_with_its_sensor_and_its_time() {
     let reading = |at| PlannedReading { robot: "r0".parse().unwrap(), sensor: "b".parse().unwrap(), at };
     choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(250))];
     let mut bench = Bench::of(&[Tells::Everything], 2, choreography.into());
-    bench.act.read(1, &bench.robots[0], Some(3.5));
-    bench.act.read(2, &bench.robots[0], Some(4.0));
+    bench.act.read(1, &bench.robots[R0], Some(3.5));
+    bench.act.read(2, &bench.robots[R0], Some(4.0));
     let [taken] = bench.act.readings() else { panic!("{:?}", bench.act.readings()) };
     assert_eq!((taken.sensor.as_str(), taken.at, taken.value), ("b", ms(250), Some(3.5)));
 }
@@ -403,12 +403,12 @@ fn act_is_unaccounted_while_a_robot_may_hold_unreported_scripts() {
 
 #[test]
 fn robot_without_reports_is_asked_repeatedly_until_its_script_has_ended() {
-    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
+    let mut bench = Bench { mum: vec![R0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
     bench.play(Leases::Shortened);
     bench.says_always = Some(RequestState::Running);
     let due = bench.timing().end + super::super::LAPSE;
     bench.run_until(due + ms(320));
-    let asked: Vec<_> = bench.asked_of(0).map(|question| question.at).filter(|at| *at >= due).collect();
+    let asked: Vec<_> = bench.asked_of(R0).map(|question| question.at).filter(|at| *at >= due).collect();
     assert!(asked.len() == 7 && asked[0] < due + ms(1), "{asked:?}, due at {due}");
     assert!(asked.windows(2).all(|pair| pair[1] - pair[0] == ms(50)), "{asked:?}");
 }
@@ -419,11 +419,11 @@ fn sent_a_third_script() -> (Bench, ScriptRef) {
     let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));
     bench.play(Leases::Fixed);
     // In what follows, only the test itself makes the robot accept scripts.
-    bench.silent = vec![0];
-    while bench.sent_to(0).len() < 3 {
+    bench.silent = vec![R0];
+    while bench.sent_to(R0).len() < 3 {
         bench.run_until(bench.now + ms(1));
     }
-    let third = bench.scripts_of(0)[2];
+    let third = bench.scripts_of(R0)[2];
     (bench, third)
 }
 
@@ -434,13 +434,13 @@ fn duplicate_refusal_is_counted_once() {
     let refusal = ControlResponse { error, ..bench.response(third, Status::Failed) };
     bench.take_response(third, &refusal);
     bench.take_response(third, &refusal);
-    assert_eq!((bench.state(0, 2), bench.failed.len()), (&ScriptState::Planned, 0));
+    assert_eq!((bench.state(R0, 2), bench.failed.len()), (&ScriptState::Planned, 0));
     bench.run_until(bench.now + ms(60));
     bench.take_response(third, &refusal);
-    assert_eq!(bench.state(0, 2), &ScriptState::Sent, "under a name that was not refused");
+    assert_eq!(bench.state(R0, 2), &ScriptState::Sent, "under a name that was not refused");
     bench.say(third, Status::Accepted);
     bench.take_response(third, &refusal);
-    assert_eq!((bench.state(0, 2), bench.failed.len()), (&ScriptState::Held, 0));
+    assert_eq!((bench.state(R0, 2), bench.failed.len()), (&ScriptState::Held, 0));
 }
 
 #[test]
@@ -449,7 +449,7 @@ fn script_refused_as_busy_is_soon_resent_to_robot_that_reports_nothing() {
     bench.refuse(third, ErrorCode::Busy);
     let refused = bench.now;
     bench.run_until(refused + ms(60));
-    let again: Vec<_> = bench.sent_to(0).into_iter().skip(3).collect();
+    let again: Vec<_> = bench.sent_to(R0).into_iter().skip(3).collect();
     assert!(matches!(again.as_slice(), [(at, 2)] if *at > refused), "{again:?}");
 }
 
@@ -459,7 +459,7 @@ fn robot_without_reports_is_asked_about_each_script_at_its_planned_end() {
     bench.play(Leases::Shortened);
     bench.run_to_the_end();
     let from = bench.start() + ms(100);
-    let asked: Vec<_> = bench.asked_of(0).map(|question| question.at).filter(|at| *at >= from).collect();
+    let asked: Vec<_> = bench.asked_of(R0).map(|question| question.at).filter(|at| *at >= from).collect();
     let due = [200, 230].map(|end| bench.start() + ms(end) + super::super::LAPSE);
     let is_due = |(at, due): (&Timestamp<Server>, Timestamp<Server>)| *at >= due && *at < due + ms(1);
     assert!(asked.len() == 2 && asked.iter().zip(due).all(is_due), "{asked:?}, due at {due:?}");

@@ -24,7 +24,7 @@ pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
     let act = Act::take_up(choreography, &promise, reached, &robots, now).unwrap();
     let mut bench = Bench { now, ..Bench::around(act, robots) };
     for robot in 0..2 {
-        let script = bench.scripts_of(robot)[0];
+        let script = bench.scripts_of(RobotIndex::new(robot))[0];
         bench.act.sent(at(2), script);
         bench.sent.push((at(2), script));
     }
@@ -88,25 +88,25 @@ fn decided_act_is_resent_if_never_received_and_not_committed_if_lost() {
     let mut bench = taken_up(Reached::Decision, ms(330));
     bench.sent.clear();
     bench.run_until(bench.start());
-    assert_eq!((bench.sent_to(0).len(), bench.sent_to(1).len()), (1, 1));
+    assert_eq!((bench.sent_to(R0).len(), bench.sent_to(R1).len()), (1, 1));
     assert_eq!(bench.act.progress(), Progressed::Committed);
 
     let mut bench = Bench {
-        mum: vec![1],
+        mum: vec![R1],
         says_always: Some(RequestState::Unknown),
         ..taken_up(Reached::Decision, ms(330))
     };
     bench.run_until(bench.start());
     assert_eq!(bench.act.progress(), Progressed::Approaching);
-    assert!(matches!(bench.failed.as_slice(), [(_, 1, _)]) && bench.commitments().is_empty());
+    assert!(matches!(bench.failed.as_slice(), [(_, R1, _)]) && bench.commitments().is_empty());
 }
 
 #[test]
 fn committed_act_continues_to_play() {
     let mut bench = taken_up(Reached::Commitment, ms(100));
     assert!(bench.act.is_committed());
-    bench.ask(0);
-    bench.ask(1);
+    bench.ask(R0);
+    bench.ask(R1);
     bench.run_to_the_end();
     assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
 }
@@ -117,8 +117,8 @@ fn script_ended_without_a_scheduler_is_asked_about_before_robot_fails() {
     bench.pump();
     bench.run_until(bench.now + ms(1));
     assert!(bench.failed.is_empty(), "{:?}", bench.failed);
-    bench.ask(0);
-    bench.ask(1);
+    bench.ask(R0);
+    bench.ask(R1);
     bench.run_until(bench.now + ms(5_000));
     assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
 }
@@ -127,11 +127,11 @@ fn script_ended_without_a_scheduler_is_asked_about_before_robot_fails() {
 fn script_unknown_to_robot_after_its_start_is_lost_and_not_sent_late() {
     let mut bench = taken_up(Reached::Commitment, ms(-1_000));
     bench.sent.clear();
-    let script = bench.scripts_of(1)[0];
+    let script = bench.scripts_of(R1)[0];
     bench.report(script, bench.now, RequestState::Unknown);
-    assert_eq!(bench.state(1, 0), &ScriptState::Unknown, "it may have played");
+    assert_eq!(bench.state(R1, 0), &ScriptState::Unknown, "it may have played");
     assert_eq!(bench.sent, []);
-    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]), "{:?}", bench.failed);
+    assert!(matches!(bench.failed.as_slice(), [(_, R1, FailureKind::Script { .. })]), "{:?}", bench.failed);
 }
 
 #[test]
@@ -161,7 +161,10 @@ fn promise_must_match_the_choreography() {
     assert!(take_up(bench::played(&[&[("a", 0, 401)]]), &promise).is_err(), "another movement");
     assert!(take_up(bench::played(&[&[("b", 0, 400)]]), &promise).is_err(), "another device");
     assert!(take_up(bench::played(&[&[("a", 10, 400)]]), &promise).is_err(), "another time");
-    assert!(take_up(Arc::clone(&other.act.choreography), &Promise { act: 1, ..promise.clone() }).is_err());
+    assert!(
+        take_up(Arc::clone(&other.act.choreography), &Promise { act: ActIndex::new(1), ..promise.clone() })
+            .is_err()
+    );
 }
 
 #[test]
@@ -176,12 +179,12 @@ fn script_reported_only_to_previous_process_ends_as_unknown_on_time() {
         let choreography = Arc::clone(&other.act.choreography);
         let act = Act::take_up(choreography, &promise, Reached::Commitment, &robots, now).unwrap();
         let mut bench = Bench { now, ..Bench::around(act, robots) };
-        let script = bench.scripts_of(0)[0];
+        let script = bench.scripts_of(R0)[0];
         bench.act.sent(now, script);
-        bench.ask(0);
+        bench.ask(R0);
         bench.run_until(now + ms(60_000));
         assert!(bench.failed.is_empty(), "{after_start}: {:?}", bench.failed);
-        assert_eq!(bench.state(0, 0), &ScriptState::Unknown, "{after_start}");
+        assert_eq!(bench.state(R0, 0), &ScriptState::Unknown, "{after_start}");
         assert!(bench.act.is_over(), "{after_start}");
     }
 }
@@ -189,18 +192,18 @@ fn script_reported_only_to_previous_process_ends_as_unknown_on_time() {
 #[test]
 fn script_of_another_process_refused_as_late_may_have_been_played() {
     let mut bench = taken_up(Reached::Commitment, ms(-1_000));
-    let script = bench.scripts_of(0)[0];
+    let script = bench.scripts_of(R0)[0];
     bench.refuse(script, ErrorCode::Late);
-    assert_eq!((bench.state(0, 0), bench.failed.len()), (&ScriptState::Unknown, 0));
+    assert_eq!((bench.state(R0, 0), bench.failed.len()), (&ScriptState::Unknown, 0));
 }
 
 #[test]
 fn script_of_another_process_that_fails_after_start_may_have_begun() {
     for (before_start, begun) in [(ms(-500), true), (ms(500), false)] {
         let mut bench = taken_up(Reached::Commitment, before_start);
-        let script = bench.scripts_of(0)[0];
+        let script = bench.scripts_of(R0)[0];
         bench.refuse(script, ErrorCode::Cancelled);
-        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, begun, "{before_start}");
+        assert_eq!(bench.state(R0, 0) == &ScriptState::Unknown, begun, "{before_start}");
         assert_eq!(bench.failed.len(), 1, "{before_start}");
     }
 }
@@ -209,13 +212,13 @@ fn script_of_another_process_that_fails_after_start_may_have_begun() {
 fn script_reported_with_its_hash_was_accepted_and_may_have_begun() {
     for accepted in [true, false] {
         let mut bench = taken_up(Reached::Commitment, ms(-500));
-        let (script, now) = (bench.scripts_of(0)[0], bench.now);
+        let (script, now) = (bench.scripts_of(R0)[0], bench.now);
         let known = bench.act.script(script);
         let (id, hash) = (known.request_id().cloned().unwrap(), known.content_hash());
         let report = bench::report(&id, RequestState::Ended, accepted.then_some(hash));
         let report = urrcp::RequestReport { error: bench::refusal(ErrorCode::Internal), ..report };
         let _noted = bench.act.reported(script, &report, (now, by_robot(now), now), &bench.robots);
-        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, accepted);
+        assert_eq!(bench.state(R0, 0) == &ScriptState::Unknown, accepted);
     }
 }
 
@@ -224,7 +227,7 @@ fn offsets_change_from_journal_values_no_faster_than_clocks_drift() {
     let (other, mut promise) = promised(&[&[("a", 0, 400), ("a", 10_000, 400), ("a", 30_000, 400)]]);
     promise.scripts.iter_mut().for_each(|script| script.shift = ms(7));
     let mut robots = robots(&[Tells::Everything], 2);
-    robots[0].settings.clock = ClockMode::Measured;
+    robots[R0].settings.clock = ClockMode::Measured;
     let take_up = || {
         let choreography = Arc::clone(&other.act.choreography);
         Act::take_up(choreography, &promise, Reached::Commitment, &robots, promise.start).unwrap()
@@ -233,9 +236,9 @@ fn offsets_change_from_journal_values_no_faster_than_clocks_drift() {
     for (shows, expected) in [(500, [8, 10]), (-500, [6, 4]), (7, [7, 7])] {
         let mut act = take_up();
         let mut shift = |script: usize| {
-            let script = ScriptRef { act: 0, member: 0, script };
+            let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
             let _changed = act.translate(script, 0, |_| Some(ms(shows)));
-            act.members()[0].shift_of(act.script(script))
+            act.members()[MemberIndex::new(0)].shift_of(act.script(script))
         };
         assert_eq!([shift(1), shift(2)], expected.map(ms), "a clock that is {shows} ms ahead");
     }
@@ -256,7 +259,7 @@ fn clocks_after_take_up(later: i64, clocks: [ClockSample; 3]) -> Option<FailureK
         robot.settings.clock = ClockMode::Measured;
         robot.clock.add(sample);
     }
-    act.clock_was_set(now, 0, &robots)
+    act.clock_was_set(now, R0, &robots)
 }
 
 /// Returns a sample of a clock that is ahead by `ahead` milliseconds. The answer with it took `back` milliseconds.

@@ -18,7 +18,14 @@ fn waits_for(wait: Wait) -> Bench {
 /// Returns an act with this condition, while an earlier act still plays.
 fn behind_another(wait: Wait) -> Bench {
     let bench = waits_for(wait);
-    let act = Act::new(Arc::clone(&bench.act.choreography), 0, 1, &bench.robots, at(0), Some(at(500)));
+    let act = Act::new(
+        Arc::clone(&bench.act.choreography),
+        ActIndex::new(0),
+        ActNumber::new(1),
+        &bench.robots,
+        at(0),
+        Some(at(500)),
+    );
     Bench::around(act, bench.robots)
 }
 
@@ -106,7 +113,14 @@ const CHANGES: Zone = Zone::new(|instant| {
 fn waits_across_a_change(since: i64, shown: i64) -> (String, Option<Timestamp<Server>>) {
     let time = Span::from_nanos(at(shown).as_nanos().rem_euclid(ms(24 * HOUR).as_nanos()));
     let mut bench = waits_for(Wait::TimeOfDay(time));
-    bench.act = Act::new(Arc::clone(&bench.act.choreography), 0, 0, &bench.robots, at(since), None);
+    bench.act = Act::new(
+        Arc::clone(&bench.act.choreography),
+        ActIndex::new(0),
+        ActNumber::new(0),
+        &bench.robots,
+        at(since),
+        None,
+    );
     bench.options.zone = CHANGES;
     let announced = bench.act.announcement(&bench.options);
     let Some(Progress::Waiting { awaits, at: fixed, .. }) = announced else { panic!("{announced:?}") };

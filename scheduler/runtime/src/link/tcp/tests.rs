@@ -1,11 +1,15 @@
 //! Links over real sockets: a robot that misbehaves affects only its own link.
 
+use downbeat_mission::RobotIndex;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 use urrcp::{Command, ControlRequest, ControlType, Millis, Script, Setpoint, StatusValue, Step};
 
 use super::*;
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
+
+const R0: RobotIndex = RobotIndex::new(0);
+const R1: RobotIndex = RobotIndex::new(1);
 
 /// Maximum time to wait for an expected event, long enough for a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -22,7 +26,7 @@ async fn stop_never_waits_behind_an_unread_upload() {
         encoding: LinkEncoding::default(),
         security: Security::Plain,
     };
-    let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
+    let link = Link::open((R0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
     let (_unread, _) = listener.accept().await.unwrap();
     let stop = |device: String| {
         let request = ControlRequest::immediate(device.parse().unwrap(), Command::Script(Script::cancel()));
@@ -97,8 +101,13 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
             encoding: LinkEncoding::default(),
             security: Security::Plain,
         };
-        let link =
-            Link::open((robot, LinkNumber(robot as u64)), endpoint, clock, events.clone(), Duration::ZERO);
+        let link = Link::open(
+            (RobotIndex::new(robot), LinkNumber(robot as u64)),
+            endpoint,
+            clock,
+            events.clone(),
+            Duration::ZERO,
+        );
         // The answer may be as long as a description, because one is requested.
         let asked = Message::InitializationRequest(urrcp::InitializationRequest::default());
         link.send(asked, Urgency::InOrder).unwrap();
@@ -115,7 +124,7 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
     let (mut of_hostile, mut of_other) = (Vec::new(), 0);
     while of_hostile.len() < count || of_other < 2 {
         match next(&mut happened).await {
-            Event::LinkUp { robot: 1 } | Event::Received { robot: 1, .. } => of_other += 1,
+            Event::LinkUp { robot: R1 } | Event::Received { robot: R1, .. } => of_other += 1,
             of => of_hostile.push(of),
         }
     }
@@ -149,7 +158,7 @@ async fn invalid_lines_are_reported_and_the_link_stays_open() {
     for (line, says) in cases {
         let bytes = format!("{line}\n{}\n", block(&device(1))).into_bytes();
         let events = events_of(bytes, 3).await;
-        let [Event::LinkUp { .. }, Event::Garbled { robot: 0, reason }, Event::Received { message, .. }] =
+        let [Event::LinkUp { .. }, Event::Garbled { robot: R0, reason }, Event::Received { message, .. }] =
             &events[..]
         else {
             panic!("{says}: {events:?}");
@@ -219,7 +228,7 @@ async fn link_occupies_at_most_its_places_in_the_queue() {
     let (events, mut happened) = mpsc::channel(10_000);
     let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security: Security::Plain };
     let (asked, clock) = (crate::link::SharedAllowance::default(), ServerClock::anchored(Span::ZERO));
-    let of = (0, LinkNumber(0));
+    let of = (R0, LinkNumber(0));
     let of_robot = crate::link::OfRobot { asked, ..Default::default() };
     let _link = Link::open_beside_others(of, endpoint, of_robot, clock, events, Duration::ZERO);
     let (mut stream, _) = listener.accept().await.unwrap();
@@ -252,7 +261,7 @@ fn linked_as(of_robot: crate::link::OfRobot, port: u16) -> (Link, mpsc::Receiver
         security: Security::Plain,
     };
     let (clock, events) = (ServerClock::anchored(Span::ZERO), crate::link::Events::Plain(events));
-    let sink = crate::link::EventSink { robot: 0, link: Some(LinkNumber(0)), clock, events };
+    let sink = crate::link::EventSink { robot: R0, link: Some(LinkNumber(0)), clock, events };
     (Link::carrying(sink, endpoint, of_robot, Duration::ZERO), happened)
 }
 

@@ -6,7 +6,7 @@ use urrcp::Span;
 use super::{GRAIN, Said};
 use crate::Happened;
 use crate::check::facts::{SentAct, SentScript};
-use downbeat_mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, SkewBudget};
+use downbeat_mission::{ActNumber, ActReport, ActRobot, DeviceReport, DeviceState, Progress, SkewBudget};
 
 /// Delay after which a step is counted as late.
 const LATE: Span = Span::from_millis(1);
@@ -23,7 +23,7 @@ impl Said<'_> {
                     .push(format!("the report contains act {}, but no such act was promised", said.number)),
             }
         }
-        let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
+        let numbers: Vec<ActNumber> = self.report.acts.iter().map(|act| act.number).collect();
         let is_known = |act: &&SentAct<'_>| {
             let is_kept = self.resumed_at.is_none() || !act.superseded && self.facts.was_kept(act.at);
             !act.repeated && is_kept

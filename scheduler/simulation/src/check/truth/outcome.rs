@@ -126,7 +126,8 @@ impl Said<'_> {
     /// Checks that no act begins beyond the maximum number of acts, even after another process has resumed the mission.
     fn bound(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
-        let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
+        let written =
+            |act: &&SentAct<'_>| act.counts() && act.promise.act.get() < drawn.choreography.acts.len();
         let begun = self.facts.acts.iter().filter(written).count();
         if let Some(most) = drawn.acts_max.filter(|most| begun > *most as usize) {
             wrong.push(format!("{begun} acts started, but at most {most} were allowed"));
@@ -135,10 +136,14 @@ impl Said<'_> {
 
     fn course(&self, wrong: &mut Vec<String>) {
         for (index, course) in self.report.course.iter().enumerate() {
-            let sent: Vec<&SentAct<'_>> =
-                self.facts.acts.iter().filter(|act| act.promise.act == index && !act.repeated).collect();
+            let sent: Vec<&SentAct<'_>> = self
+                .facts
+                .acts
+                .iter()
+                .filter(|act| act.promise.act.get() == index && !act.repeated)
+                .collect();
             // The mission ended before it had sent the next attempt.
-            let before_attempt = self.facts.acts.iter().rfind(|act| act.promise.act == index);
+            let before_attempt = self.facts.acts.iter().rfind(|act| act.promise.act.get() == index);
             let before_attempt = before_attempt.is_some_and(|act| act.repeated);
             // If an act was played several times, the last time is relevant.
             let last = sent.last();
@@ -250,7 +255,7 @@ impl Said<'_> {
     fn last_reported(&self, index: usize) -> Option<&SentAct<'_>> {
         let states =
             |act: &SentAct<'_>| self.report.acts.iter().any(|said| said.number == act.promise.number);
-        self.facts.acts.iter().rfind(|act| act.promise.act == index && states(act))
+        self.facts.acts.iter().rfind(|act| act.promise.act.get() == index && states(act))
     }
 
     /// Whether, when an act ended, at least one robot had scripts whose outcome is not known.
