@@ -7,8 +7,8 @@ use downbeat_scripts::{ClockMode, FleetRobot};
 use tokio::sync::mpsc;
 use urrcp::{
     AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, Device, DeviceId, ErrorCode,
-    InitializationBlock, InitializationRequest, Inquiry, Message, Millis, RequestId, Robot, Script, Server, Span,
-    Status, StatusValue, StopCondition, Timestamp,
+    InitializationBlock, InitializationRequest, Inquiry, Message, Millis, RequestId, Robot, Script, Server,
+    Span, Status, StatusValue, StopCondition, Timestamp,
 };
 
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};

@@ -257,7 +257,8 @@ fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, 
 pub(super) async fn description(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, String> {
     let clock = ServerClock::anchored(Span::ZERO);
     let (events, happened) = mpsc::channel(64);
-    let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
+    let link =
+        Link::open((RobotIndex::new(0), LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
     let answer = ask(unnamed(), None, link, happened, clock, patience).await;
     let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
     answer.block.ok_or(problem)
