@@ -10,7 +10,7 @@ use super::robot_state::Rest;
 use super::{ActIndex, ActNumber, Mission, Outcome, Phase, RobotIndex};
 
 /// The maximum number of times that an act is prepared again.
-const AGAIN_MAX: u32 = 2;
+pub(super) const AGAIN_MAX: u32 = 2;
 /// The minimum delay of this machine that the next attempt allows for. A machine that was late by less may be late by this much the next
 /// time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);

@@ -367,6 +367,7 @@ impl Mission {
         }
         self.lateness.asks(now, self.next_wakeup());
         self.check(now);
+        self.check_timers(now);
         std::mem::take(&mut self.actions)
     }
 

@@ -25,7 +25,7 @@ pub(super) struct Expected {
 
 /// The maximum time for which the mission asks again for the position of a device that a stop has left adrift. Such a device may still
 /// slow down, so the mission asks until its position no longer changes.
-const SLOWS_MAX: Span = Span::from_millis(4_000);
+pub(super) const SLOWS_MAX: Span = Span::from_millis(4_000);
 /// Minimum time between two requests for a device's position, from the second request on.
 const ASK_AGAIN: Span = Span::from_millis(100);
 /// Minimum time between two requests for a position that a sensor reads. Within a shorter time, a device that still moves may move by
@@ -328,6 +328,15 @@ impl Mission {
     /// Whether this act is the first one that moves a device, in the order in which acts follow each other by `next`.
     fn is_first_use(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
         self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
+    }
+
+    /// Whether a device would have to jump at its first step in this act, as far as its position is known. The mission has not moved the
+    /// device yet.
+    pub(super) fn would_jump(&self, act: &Act, robot: RobotIndex, script: &DeviceScript) -> bool {
+        let state = &self.robots[robot];
+        let known = state.known_position(&script.device).filter(|_| !state.touched.contains(&script.device));
+        let expected = self.expected_in(act, robot, script);
+        known.zip(expected).is_some_and(|(at, expected)| (at - expected.position).abs() > expected.within)
     }
 
     /// The failures of a robot's devices that would have to jump at their first step.

@@ -18,7 +18,7 @@ use super::{Greeting, Mission, Phase, Progress, RobotIndex, error_of_status};
 use crate::clock::ClockSample;
 
 /// Interval between two rounds of questions if no lease requires a shorter one.
-const KEEP_ALIVE: Span = Span::from_millis(1_000);
+pub(super) const KEEP_ALIVE: Span = Span::from_millis(1_000);
 /// The maximum time for which a robot may owe an answer, if it has no lease that limits it.
 pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// The minimum interval between two reports to the operator about a robot's own status.

@@ -3,6 +3,8 @@
 use urrcp::{Server, Timestamp};
 
 use super::{Link, OPEN_MAX, Questions, RobotState, Standing, Stop};
+use crate::failures::KEPT_MAX;
+use crate::invariants::holds;
 
 impl RobotState {
     /// Panics if an invariant of the robot does not hold at `now`.
@@ -32,6 +34,18 @@ impl RobotState {
                 assert_eq!(open, 0, "{id}: only a robot that is being stopped owes confirmations");
             }
         }
+        let others = self.failures.iter().skip(KEPT_MAX).map(|failure| std::mem::discriminant(&failure.kind));
+        let kinds: std::collections::HashSet<_> = others.clone().collect();
+        holds!(
+            others.count() == kinds.len(),
+            id,
+            "The report lists the first 64 failures of each robot and the first of each kind"
+        );
+        holds!(
+            self.elsewhere.is_none() || !self.in_process,
+            id,
+            "another process may have answered in its place while the first one still runs the script"
+        );
         if self.introduced {
             assert!(
                 self.block.is_some(),
