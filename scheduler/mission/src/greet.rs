@@ -10,6 +10,7 @@ use super::exchanges::Times;
 use super::failure_kind::{FailureKind, Slow};
 use super::latency::LatencyDiffers;
 use super::lead::{self, ROUND_TRIP_LONGEST};
+use super::poses::FirstUses;
 use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
@@ -27,6 +28,19 @@ const STALE: Span = Span::from_millis(500);
 /// Interval between checks whether a robot may be asked again. Questions to a robot are sent one at a time: several would delay each
 /// other on a link that keeps the order of messages.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
+
+/// The state of the checks before the first act.
+#[derive(Debug)]
+pub(super) struct FirstChecks {
+    /// The index of each robot of the first act, in the order of the act's plan; `None` for a robot without a participant.
+    pub(super) first_robots: Vec<Option<RobotIndex>>,
+    /// For each robot: the first script of each device, starting with the mission's first act, and the device's largest speed in the act
+    /// of that script.
+    pub(super) first_uses: FirstUses,
+    /// The time at which additional clock sampling ends, and the time of the next sample.
+    pub(super) sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
+    pub(super) preflight: Option<preflight::Preflight>,
+}
 
 /// Whether a robot's round trip is longer than the longest accepted one.
 fn is_too_slow(robot: &RobotState) -> bool {
@@ -69,7 +83,7 @@ impl Mission {
             originate: response.originate_timestamp,
             received: response.receive_timestamp,
             answered: response.timestamp,
-            arrived: self.arrived,
+            arrived: self.outbox.arrived,
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
         self.is_ours(now, robot);
@@ -200,7 +214,7 @@ impl Mission {
             }
             Reading::Motion(number, index) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
-                act.into_iter().for_each(|act| act.motion_read(index, self.arrived, value));
+                act.into_iter().for_each(|act| act.motion_read(index, self.outbox.arrived, value));
             }
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
@@ -241,7 +255,7 @@ impl Mission {
             self.check_strictness();
         }
         let preflight = preflight::table(self, now);
-        self.preflight = Some(preflight.clone());
+        self.greeting.preflight = Some(preflight.clone());
         let failed = self.robots.iter().any(RobotState::has_failed);
         let follows = |robot: &&RobotState| robot.settings.clock == ClockMode::Ntp && !failed;
         let offsets = self.robots.iter().filter(follows).filter_map(|robot| robot.clock.reading());
@@ -286,17 +300,17 @@ impl Mission {
             && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
         let Phase::Greeting { deadline } = self.phase else { return false };
         let until = deadline.min(now + SAMPLING);
-        let (until, next) = *self.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
+        let (until, next) = *self.greeting.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
         let goes_on = !fits && next < until;
         if !goes_on {
-            self.sampling = None;
+            self.greeting.sampling = None;
         }
         goes_on
     }
 
     pub(super) fn sample_clocks(&mut self, now: Timestamp<Server>) {
-        let Some((until, next)) = self.sampling.filter(|(_, next)| now >= *next) else { return };
-        self.sampling = Some((until, next + SAMPLING_INTERVAL));
+        let Some((until, next)) = self.greeting.sampling.filter(|(_, next)| now >= *next) else { return };
+        self.greeting.sampling = Some((until, next + SAMPLING_INTERVAL));
         let enough = self.choreography.acts[self.options.first_act.get()].plan.start_tolerance / 8;
         for robot in self.robots.indices() {
             let state = &self.robots[robot];
@@ -326,7 +340,7 @@ impl Mission {
 
     pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
         let plan = &self.choreography.acts[self.options.first_act.get()].plan;
-        SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
+        SkewBudget::of_planned(plan, &self.greeting.first_robots, &self.robots, now)
     }
 
     /// Refuses robots whose round trips are longer than the longest accepted one, because the others would wait for them.
@@ -427,7 +441,7 @@ impl Mission {
             };
             self.fail(now, index, FailureKind::Silent { awaited, within });
         }
-        self.sampling = None;
+        self.greeting.sampling = None;
         self.greeting_progress(now);
     }
 
@@ -454,7 +468,7 @@ impl Mission {
 
     /// Ends the mission with this outcome before anything has been sent that could move a robot.
     pub(super) fn refuse(&mut self, outcome: Outcome) {
-        self.outcome = Some(outcome);
+        self.conclusion.outcome = Some(outcome);
         if self.has_moved() {
             self.admit_that_it_moved();
         }

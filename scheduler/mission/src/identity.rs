@@ -44,18 +44,18 @@ impl Mission {
         let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
         // The question is sent before the stops, because its answer must precede theirs.
         let urgent = self.robots[robot].awaits_stop();
-        self.actions.push(Action::Send { robot, message, urgent });
+        self.outbox.actions.push(Action::Send { robot, message, urgent });
         let again = now + ASK_AGAIN;
-        self.next_name = Some(self.next_name.map_or(again, |next| next.min(again)));
+        self.timers.next_name = Some(self.timers.next_name.map_or(again, |next| next.min(again)));
     }
 
     /// Asks robots again that have not identified themselves. A robot that still does not answer is treated like one that was not
     /// reached.
     pub(super) fn ask_names_again(&mut self, now: Timestamp<Server>) {
-        if self.next_name.is_none_or(|next| now < next) {
+        if self.timers.next_name.is_none_or(|next| now < next) {
             return;
         }
-        self.next_name = None;
+        self.timers.next_name = None;
         let greets = matches!(self.phase, Phase::Greeting { .. });
         for robot in self.robots.indices() {
             let Some(since) = self.robots[robot].unnamed_since() else { continue };

@@ -29,7 +29,7 @@ const PAUSE_MAX: Span = Span::from_millis(1_000);
 const ROBOTS_MAX: usize = 64;
 
 impl Mission {
-    /// Panics if an invariant does not hold after an event at `now` has led to `self.actions`.
+    /// Panics if an invariant does not hold after an event at `now` has led to `self.outbox.actions`.
     pub(super) fn check(&self, now: Timestamp<Server>) {
         if !self.options.check_invariants || self.robots.len() > ROBOTS_MAX {
             return;
@@ -40,8 +40,8 @@ impl Mission {
         self.check_acts();
         self.check_requests();
         self.robots.iter().for_each(|robot| self.check_robot(robot));
-        for (place, action) in self.actions.iter().enumerate() {
-            self.check_action(now, action, &self.actions[..place]);
+        for (place, action) in self.outbox.actions.iter().enumerate() {
+            self.check_action(now, action, &self.outbox.actions[..place]);
         }
     }
 
@@ -52,7 +52,7 @@ impl Mission {
             return;
         }
         holds!(
-            self.next_round.is_some_and(|next| next <= now + KEEP_ALIVE),
+            self.timers.next_round.is_some_and(|next| next <= now + KEEP_ALIVE),
             "the next round",
             "The mission asks all robots at least once a second, and three times within the shortest lease."
         );
@@ -85,7 +85,7 @@ impl Mission {
                 "Whenever a place becomes free, the mission sends the next script in order of start, from any act"
             );
         }
-        for (robot, _) in &self.deferred {
+        for (robot, _) in &self.outbox.deferred {
             holds!(
                 self.acts.iter().any(|act| act.holds_messages_to(*robot, now)),
                 self.robots[*robot].id,
@@ -128,26 +128,26 @@ impl Mission {
             Phase::Performing => self.acts.iter().for_each(|act| self.check_left_out(act)),
             Phase::Stopping { deadline, resend, .. } => {
                 assert!(
-                    self.stopped_at <= Some(deadline) && self.stopped_at <= Some(resend),
+                    self.timers.stopped_at <= Some(deadline) && self.timers.stopped_at <= Some(resend),
                     "confirmations are awaited after the stop"
                 );
             }
             Phase::Ended => {
-                assert!(self.outcome.is_some(), "a mission that has ended has an outcome");
+                assert!(self.conclusion.outcome.is_some(), "a mission that has ended has an outcome");
                 assert!(self.next_wakeup().is_none(), "a mission that has ended waits for nothing");
             }
         }
         let acts = self.choreography.acts.len();
         assert!(
-            self.detour.is_none_or(|act| act.get() < acts),
+            self.course.detour.is_none_or(|act| act.get() < acts),
             "a policy leads to an act of the choreography"
         );
         assert!(
-            self.then.is_none_or(|act| act.get() < acts),
+            self.course.then.is_none_or(|act| act.get() < acts),
             "the mission continues with an act of the choreography"
         );
-        assert!(self.fates.len() <= acts, "each act of the scenario has a fate");
-        assert!(self.acts_repeated <= self.acts_begun, "an act that is repeated has begun");
+        assert!(self.course.fates.len() <= acts, "each act of the scenario has a fate");
+        assert!(self.course.repeated <= self.course.begun, "an act that is repeated has begun");
         assert!(
             self.recording.awaited.iter().is_sorted_by_key(|(count, ..)| *count),
             "records become durable in order"
@@ -156,7 +156,7 @@ impl Mission {
             self.recording.awaited.iter().all(|(count, ..)| *count <= self.recording.count),
             "only records that were written are awaited"
         );
-        let indices = self.first_robots.iter().flatten();
+        let indices = self.greeting.first_robots.iter().flatten();
         assert!(
             indices.into_iter().all(|robot| robot.get() < self.robots.len()),
             "the robots of the first act belong to the mission"
@@ -164,7 +164,7 @@ impl Mission {
     }
 
     fn check_acts(&self) {
-        assert!(self.acts.len() <= self.acts_begun as usize, "only acts that have begun are under way");
+        assert!(self.acts.len() <= self.course.begun as usize, "only acts that have begun are under way");
         holds!(
             self.acts.len() <= 2,
             "acts",
@@ -173,7 +173,7 @@ impl Mission {
         let mut numbers = self.acts.iter().map(Act::number);
         assert!(numbers.clone().is_sorted_by(|a, b| a < b), "acts are numbered in order");
         assert!(
-            numbers.next_back().is_none_or(|last| last.get() < self.acts_begun),
+            numbers.next_back().is_none_or(|last| last.get() < self.course.begun),
             "acts are counted when they begin"
         );
         let waiting = self.acts.iter().rev().skip(1);
@@ -355,7 +355,7 @@ impl Mission {
             }
             _ => false,
         };
-        let stopped_before = matches!(&state.stop, Stop::Sent(sent) if sent.at < self.arrived);
+        let stopped_before = matches!(&state.stop, Stop::Sent(sent) if sent.at < self.outbox.arrived);
         holds!(
             !stopped_before && !before.iter().any(stopped_now),
             id,

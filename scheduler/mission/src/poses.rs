@@ -327,7 +327,7 @@ impl Mission {
 
     /// Whether this act is the first one that moves a device, in the order in which acts follow each other by `next`.
     fn is_first_use(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
-        self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
+        self.greeting.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
     }
 
     /// Whether a device would have to jump at its first step in this act, as far as its position is known. The mission has not moved the
@@ -375,7 +375,7 @@ impl Mission {
 
     /// The devices that a robot uses in the first act and in the acts that follow it by `next`.
     fn used_devices(&self, robot: RobotIndex) -> Vec<DeviceId> {
-        self.first_uses[robot].keys().cloned().collect()
+        self.greeting.first_uses[robot].keys().cloned().collect()
     }
 
     /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may be
@@ -384,7 +384,7 @@ impl Mission {
     /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
     /// before its first step.
     pub(super) fn expected_position(&self, index: RobotIndex, device: &DeviceId) -> Option<Expected> {
-        let (first, speed) = self.first_uses[index].get(device)?;
+        let (first, speed) = self.greeting.first_uses[index].get(device)?;
         let script = &self.choreography.acts[first.act].plan.robots[first.robot].scripts[first.script];
         self.expected_of(index, script, || *speed)
     }

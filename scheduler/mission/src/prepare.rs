@@ -312,7 +312,7 @@ impl Mission {
     /// leave room for that.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
-        need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
+        need(self.machine.lateness.largest()).or_else(|_| need(Span::ZERO))
     }
 
     /// The timing that an act needs on a machine with this lateness. It also allows for the last delay of this machine (`hold_up`), which
@@ -324,7 +324,7 @@ impl Mission {
         act: &Act,
         skew: Option<&SkewBudget>,
     ) -> Result<Need, Outcome> {
-        let mut hold_up = self.hold_up;
+        let mut hold_up = self.machine.hold_up;
         loop {
             match self.need_with((hold_up, lateness), now, act, skew) {
                 Err(Outcome::LeaseTooShort { .. }) if hold_up > Span::ZERO => {
@@ -412,7 +412,7 @@ impl Mission {
     /// Checks the prescribed start or lead time of an act. The act keeps it or is refused; its start is never silently delayed.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
-        let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
+        let wanted = self.wanted_lead(act).filter(|_| self.machine.hold_up == Span::ZERO);
         if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
@@ -427,7 +427,7 @@ impl Mission {
 
     fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need) {
         // The act is sent later than any stop, because a stop takes back everything sent before it.
-        let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
+        let now = self.timers.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let act = &self.acts[index];
         let target = act.target();
         let slip = self.slip(act, now);

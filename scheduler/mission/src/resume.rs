@@ -53,7 +53,7 @@ impl Mission {
         mission.note_failures_of(&kept.failures);
         mission.list_ended(ended, kept.ended_acts);
         for ActOver { act, fate } in &kept.course {
-            let course = mission.fates.get_mut(act.get());
+            let course = mission.course.fates.get_mut(act.get());
             course.into_iter().for_each(|course| course.note(fate.clone()));
         }
         for (promise, progressed) in &kept.promises {
@@ -72,7 +72,7 @@ impl Mission {
         mission.phase = Phase::Performing;
         mission.stop_those_left_out(kept, now);
         // The leases have been running out since the other process died.
-        mission.next_round = Some(now);
+        mission.timers.next_round = Some(now);
         Ok(mission)
     }
 
@@ -102,14 +102,15 @@ impl Mission {
             self.list(report);
             listed += 1;
         }
-        self.reports_omitted += (count as usize).saturating_sub(listed);
+        self.course.reports_omitted += (count as usize).saturating_sub(listed);
         // One of the acts that are not listed may be the one with the fixed start.
-        self.start_was_fixed |= self.reports_omitted > 0;
+        self.course.start_was_fixed |= self.course.reports_omitted > 0;
     }
 
     /// Notes that an act has begun. A start that the operator fixes applies only to the first start of that act.
     fn note_begun(&mut self, act: Option<ActIndex>) {
-        self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
+        self.course.start_was_fixed |=
+            act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
 
     fn indices(&self) -> HashMap<RobotId, RobotIndex> {
@@ -209,8 +210,8 @@ impl Mission {
             mission.holds_still(robot, left, now);
         }
         mission.note_failures_of(&left.failures);
-        mission.moved_before = left.moved;
-        mission.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
+        mission.course.moved_before = left.moved;
+        mission.conclusion.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
         mission.abort_because(now, (outcome, reason), rest, None);
         mission
     }
@@ -256,7 +257,7 @@ impl Mission {
         if !act.is_committed() {
             act.decided().into_iter().for_each(|decided| self.tell(decided));
         }
-        self.acts_begun = self.acts_begun.max(promise.number.get() + 1);
+        self.course.begun = self.course.begun.max(promise.number.get() + 1);
         self.acts.push(act);
         Ok(())
     }

@@ -30,20 +30,34 @@ const LOOK_AGAIN: Span = Span::from_millis(1);
 /// The minimum interval between two checks for silent robots, per robot of the fleet: 10 ms for 10,000 robots.
 const LOOK_A_ROBOT: Span = Span::from_micros(1);
 
+/// The times of the next checks of a mission; `None` for a check that is not scheduled.
+#[derive(Debug, Default)]
+pub(super) struct Timers {
+    pub(super) next_round: Option<Timestamp<Server>>,
+    /// The time of the next check whether a robot has been silent for too long.
+    pub(super) next_silence: Option<Timestamp<Server>>,
+    /// The time of the next check whether a robot has not identified itself.
+    pub(super) next_name: Option<Timestamp<Server>>,
+    /// The earliest time at which the mission gives up a robot whose link is lost.
+    pub(super) give_up: Option<Timestamp<Server>>,
+    /// The time at which stops were last sent; `None` if none was.
+    pub(super) stopped_at: Option<Timestamp<Server>>,
+}
+
 impl Mission {
     /// Asks all robots when the next round is due. The round is slightly delayed if it would disturb robots that start.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
-        if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
+        if now < *self.timers.next_round.get_or_insert(now + KEEP_ALIVE) {
             return;
         }
         let may_be_sent = self.acts.iter().map(|act| act.out_of_quiet(now)).max();
         if let Some(at) = may_be_sent.filter(|at| *at > now && *at - now <= self.round_interval() / 4) {
-            self.next_round = Some(at);
+            self.timers.next_round = Some(at);
             return;
         }
         self.renew_all(now);
-        self.next_round = Some(now + self.round_interval());
-        self.next_silence = self.silence_due(now);
+        self.timers.next_round = Some(now + self.round_interval());
+        self.timers.next_silence = self.silence_due(now);
     }
 
     fn renew_all(&mut self, now: Timestamp<Server>) {
@@ -81,15 +95,15 @@ impl Mission {
     /// Schedules the next round early enough for a message that is sent under this lease.
     pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
         let next = now + interval_for(lease);
-        self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
+        self.timers.next_round = Some(self.timers.next_round.map_or(next, |at| at.min(next)));
     }
 
     /// Detects a delay of this machine. Robots that could not answer during the delay are not treated as silent.
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
-        if self.next_round.is_some_and(|due| now > due + HELD_UP) {
-            self.rounds_held_up += 1;
+        if self.timers.next_round.is_some_and(|due| now > due + HELD_UP) {
+            self.machine.rounds_held_up += 1;
             self.robots.iter_mut().for_each(|robot| robot.questions.forgive());
-            self.next_silence = None;
+            self.timers.next_silence = None;
         }
     }
 
@@ -237,7 +251,7 @@ impl Mission {
             originate: response.originate_timestamp,
             received: response.receive_timestamp,
             answered: response.timestamp,
-            arrived: self.arrived,
+            arrived: self.outbox.arrived,
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
         let asked_at = sample.sent;
@@ -254,8 +268,12 @@ impl Mission {
             let Some(script) = self.robots[robot].requests.script(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
             let was_lost = act.script(script).is_lost();
-            let noted =
-                act.reported(script, report, (asked_at, response.timestamp, self.arrived), &self.robots);
+            let noted = act.reported(
+                script,
+                report,
+                (asked_at, response.timestamp, self.outbox.arrived),
+                &self.robots,
+            );
             let elsewhere = act.runs_elsewhere(script, &self.robots[robot], now);
             elsewhere
                 .filter(|_| !was_lost)
@@ -329,7 +347,7 @@ impl Mission {
 
     /// Fails robots that owe an answer for longer than their running lease, whatever the state of their link.
     pub(super) fn notice_silence(&mut self, now: Timestamp<Server>) {
-        if self.next_silence.is_none_or(|due| now < due) {
+        if self.timers.next_silence.is_none_or(|due| now < due) {
             return;
         }
         let silent = |robot: RobotIndex| {
@@ -345,7 +363,7 @@ impl Mission {
         // Each check inspects every robot. A large fleet whose scripts begin one after another is checked less often.
         let robots = i64::try_from(self.robots.len()).unwrap_or(i64::MAX);
         let pause = LOOK_AGAIN.max(LOOK_A_ROBOT * robots);
-        self.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
+        self.timers.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
     }
 }
 

@@ -15,20 +15,20 @@ const STOP_AGAIN: Span = Span::from_millis(200);
 impl Mission {
     pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest, by: Option<String>) {
         if self.phase != Phase::Ended && by.is_some() {
-            self.because = by.as_ref().map(|by| format!("stopped by {by}"));
-            self.said_stop = by;
+            self.conclusion.because = by.as_ref().map(|by| format!("stopped by {by}"));
+            self.conclusion.said_stop = by;
         }
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
             Phase::Performing if rest == Rest::Home && self.is_on_its_way_home() => {}
             Phase::Performing => {
-                let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
+                let reason = self.conclusion.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
                 self.abort_because(now, (Outcome::Stopped, reason), rest, None);
             }
             // The planned continuation after the stop is cancelled.
             Phase::Stopping { .. } => {
-                self.then = None;
-                self.outcome = Some(Outcome::Stopped);
+                self.course.then = None;
+                self.conclusion.outcome = Some(Outcome::Stopped);
                 let rest = self.rest_first(rest);
                 self.stop_otherwise(now, rest);
             }
@@ -53,7 +53,7 @@ impl Mission {
             self.robots[robot].set_stop(Stop::None);
             self.stop_robot(now, robot, rest);
         }
-        let by = self.said_stop.clone();
+        let by = self.conclusion.said_stop.clone();
         self.record(Record::Stopping { outcome: Outcome::Stopped, rest, by });
     }
 
@@ -63,10 +63,10 @@ impl Mission {
 
     /// If the outcome states that nothing was sent or started, replaces it with `Failed` and keeps its reason.
     pub(super) fn admit_that_it_moved(&mut self) {
-        if let Some(denial) = self.outcome.take_if(|outcome| outcome.denies_any_start()) {
+        if let Some(denial) = self.conclusion.outcome.take_if(|outcome| outcome.denies_any_start()) {
             let reason = (denial != Outcome::NotStarted).then(|| denial.to_string());
-            self.because = denial.hold_up().or(reason).or_else(|| self.because.take());
-            self.outcome = Some(Outcome::Failed);
+            self.conclusion.because = denial.hold_up().or(reason).or_else(|| self.conclusion.because.take());
+            self.conclusion.outcome = Some(Outcome::Failed);
         }
     }
 
@@ -78,7 +78,7 @@ impl Mission {
             Phase::Greeting { .. } => self.refuse(outcome),
             Phase::Performing => self.abort(now, outcome, Rest::InPlace, None),
             Phase::Stopping { .. } => {
-                self.then = None;
+                self.course.then = None;
                 self.stays();
             }
             Phase::Ended => {}
@@ -109,22 +109,22 @@ impl Mission {
         let rest = self.rest_first(rest);
         let reason = self.with_home(reason);
         self.tell(Progress::Stopping { reason, rest });
-        self.then = then;
+        self.course.then = then;
         if let Some(act) = then.filter(|_| self.again.is_none()) {
             self.approaches(act);
         }
-        self.next_round = None;
-        self.next_silence = None;
-        self.deferred.clear();
+        self.timers.next_round = None;
+        self.timers.next_silence = None;
+        self.outbox.deferred.clear();
         let by = if outcome == Outcome::Stopped { StoppedBy::Operator } else { StoppedBy::Failure };
         self.phase = self.stopping_from(now, by);
         for robot in self.robots.indices() {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing. It is therefore sent first and recorded afterwards.
-        let by = self.said_stop.clone();
+        let by = self.conclusion.said_stop.clone();
         self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
-        self.outcome = Some(outcome);
+        self.conclusion.outcome = Some(outcome);
         for robot in self.robots.indices() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
                 self.reconnect(robot);
@@ -141,7 +141,7 @@ impl Mission {
         if needless || state.stop_was_sent() {
             return;
         }
-        self.stopped_at = self.stopped_at.max(Some(now));
+        self.timers.stopped_at = self.timers.stopped_at.max(Some(now));
         let session = self.options.names_begin();
         let named = |(index, device): (usize, &DeviceId)| {
             // This program generates session names, far below the limit.
@@ -176,7 +176,7 @@ impl Mission {
     fn send_stops(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let Stop::Sent(sent) = &state.stop else { return };
-        let stopped_at = self.stopped_at.unwrap_or(now);
+        let stopped_at = self.timers.stopped_at.unwrap_or(now);
         let request = |(id, device): (&RequestId, &DeviceId)| {
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());
@@ -243,7 +243,7 @@ impl Mission {
             scripts.into_iter().any(|script| script.is_out())
         };
         // A robot that takes no inquiries sends its report before its next answer after its stop. Otherwise the report is lost.
-        let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
+        let answered = |at| self.timers.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
         let can = !state.is_garbled() && !state.is_left_to_others();
         state.tells_fates() && can && !lost && !state.is_gone() && self.acts.iter().any(out)
@@ -288,13 +288,13 @@ impl Mission {
         }
         let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());
         let unknown = scripts.into_iter().any(|script| script.is_unaccounted());
-        if !begun && !unknown && self.outcome == Some(Outcome::Failed) {
-            self.outcome = Some(Outcome::NotStarted);
+        if !begun && !unknown && self.conclusion.outcome == Some(Outcome::Failed) {
+            self.conclusion.outcome = Some(Outcome::NotStarted);
         }
         self.phase = Phase::Ended;
         let confirmed = self.robots.iter().all(RobotState::is_settled);
         if self.goes_again(now, confirmed) {
-            self.then = None;
+            self.course.then = None;
             self.perform_again();
             return self.line_up_again(now);
         }
@@ -304,7 +304,7 @@ impl Mission {
         if self.begins_transfer(now, rests) {
             return;
         }
-        match self.then.take().filter(|_| rests) {
+        match self.course.then.take().filter(|_| rests) {
             Some(act) => {
                 self.continue_after_stop();
                 self.go_way(now, Way::Act(act.get()));

@@ -264,7 +264,7 @@ impl Mission {
         match planned {
             Err(reason) => {
                 // The next act expects devices where the transfer would have moved them.
-                self.then = None;
+                self.course.then = None;
                 self.not_planned(to, reason);
                 false
             }
@@ -273,7 +273,7 @@ impl Mission {
                 if to == Destination::Home {
                     self.tell(Progress::AtHome);
                     self.transfer.there = self.transfer.poses.keys().copied().collect();
-                    if self.then.is_none() {
+                    if self.course.then.is_none() {
                         self.arrive_home();
                     }
                 }
@@ -317,7 +317,7 @@ impl Mission {
 
     fn play_transfer(&mut self, now: Timestamp<Server>, to: Destination, mut act: Written) {
         let index = ActIndex::new(self.choreography.acts.len());
-        act.next = self.then.take().map_or(Way::End, |act| Way::Act(act.get()));
+        act.next = self.course.then.take().map_or(Way::End, |act| Way::Act(act.get()));
         let states = |robot: RobotIndex| self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests);
         let has_part = |robot: RobotIndex| match to {
             Destination::Home => !self.robots[robot].touched.is_empty(),
@@ -333,7 +333,7 @@ impl Mission {
             self.robots.indices().filter(|robot| ends && rests(&self.robots[*robot])).collect();
         let name = act.name.clone();
         self.transfer.note(to, TransferReport::Planned { act: name.clone(), without });
-        self.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
+        self.course.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
         Arc::make_mut(&mut self.choreography).acts.push(act);
         let choreography = Arc::clone(&self.choreography);
         let told = match to {
@@ -357,8 +357,8 @@ impl Mission {
 
     /// Continues the mission after a stop. Its outcome can no longer be `done`.
     pub(super) fn continue_after_stop(&mut self) {
-        let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
-        self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
+        let stopped = self.conclusion.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
+        self.conclusion.flawed = Some(stopped.unwrap_or(Outcome::Failed));
         self.perform_again();
     }
 

@@ -88,9 +88,9 @@ fn pending_request_is_repeated_after_three_round_trips_and_a_margin() {
     mission.robots[R0].questions.asked(at(100));
     let again = at(100) + ms(3 * 40 + 20);
     mission.ask_further(again - Span::from_nanos(1), R0);
-    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.outbox.actions)), 0);
     mission.ask_further(again, R0);
-    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
+    assert_eq!(asks(&std::mem::take(&mut mission.outbox.actions)), 1);
 }
 
 /// A mission whose robot has proven its identity, and may be taken over from another session.
@@ -152,7 +152,7 @@ fn robot_of_another_session_is_seized_unless_a_robot_has_failed() {
         assert_eq!(mission.robots[R0].ownership, Ownership::Seizing);
         assert_eq!(mission.robots[R0].positions, [], "where it stood while it was another's");
         let seizes = |action: &Action| matches!(action, Action::Send { message: Message::AvailabilityRequest(asked), .. } if asked.seize);
-        assert!(mission.actions.iter().any(seizes));
+        assert!(mission.outbox.actions.iter().any(seizes));
         mission.is_ours(at(2), R0);
         assert_eq!(mission.robots[R0].ownership, Ownership::Seized);
     }
@@ -288,7 +288,7 @@ fn slow_robot_is_measured_for_four_more_seconds_and_then_refused() {
     was_slow(&mut mission);
     for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
         // While it samples, the mission asks again every 20 ms.
-        if let Some((_, next)) = &mut mission.sampling {
+        if let Some((_, next)) = &mut mission.greeting.sampling {
             *next = at(now) + ms(20);
         }
         assert_eq!(mission.still_sampling(at(now)), goes_on, "{now}");
@@ -687,7 +687,7 @@ fn device_that_jumps_or_has_time_to_arrive_may_be_anywhere() {
             mission.robots[R0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Hold;
         }
         first(&mut mission, after, control_type);
-        mission.first_uses[R0].values_mut().for_each(|(_, largest)| *largest = speed);
+        mission.greeting.first_uses[R0].values_mut().for_each(|(_, largest)| *largest = speed);
         let told = mission.expected_position(R0, &"a".parse().unwrap());
         let expected = expected.map(|within| Expected { position: 45.0, within });
         assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}, {speed:?}");
