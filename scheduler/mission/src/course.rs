@@ -359,7 +359,7 @@ impl Mission {
         self.tell(Progress::ActWithdrawn { act: act.name() });
         for member in act.members() {
             let robot = &mut self.robots[member.robot];
-            robot.left.clear();
+            robot.halt.left.clear();
             let names = member.scripts().iter().filter_map(Script::request_id);
             names.for_each(|id| robot.requests.remove_script(id));
         }
@@ -524,12 +524,12 @@ impl Mission {
         for member in act.members() {
             // The robot's scripts of an earlier act are over, and were followed.
             if !self.robots[member.robot].stop_was_sent() {
-                self.robots[member.robot].left.clear();
+                self.robots[member.robot].halt.left.clear();
             }
             for (index, script) in member.scripts().iter().enumerate() {
                 let left = act.left_behind(member, index, &self.robots[member.robot], now);
                 let robot = &mut self.robots[member.robot];
-                robot.left.extend(left);
+                robot.halt.left.extend(left);
                 let error = act.start_error(member, script);
                 robot.totals.add(script, error);
                 if let Some(id) = script.request_id() {

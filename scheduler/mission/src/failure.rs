@@ -184,7 +184,7 @@ impl Mission {
             };
         }
         self.robots[robot].totals.reconnects += 1;
-        self.robots[robot].unplaced = true;
+        self.robots[robot].pose.unplaced = true;
         if self.robots[robot].stop_was_sent() {
             self.stop_on_new_link(now, robot);
             return self.ask_how_far_it_came(now, robot);

@@ -1,6 +1,8 @@
 //! Greets all robots at once, in steps 1 to 4 of the protocol: links, availability and clocks, initialization blocks. Then reads the
 //! sensors that the fleet file requires, and asks for the positions of devices.
 
+use std::collections::BTreeMap;
+
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
     RequestId, Server, Span, Status, StatusValue, Timestamp,
@@ -15,7 +17,10 @@ use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, RobotIndex, error_of_status};
+use super::{
+    ClockMode, Greeting, Join, Mission, MissionSettings, Outcome, Phase, Progress, RobotIndex,
+    error_of_status,
+};
 use downbeat_yaml::render::counted;
 
 /// Number of timestamp exchanges with each robot before any decision.
@@ -40,6 +45,34 @@ pub(super) struct FirstChecks {
     /// The time at which additional clock sampling ends, and the time of the next sample.
     pub(super) sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
     pub(super) preflight: Option<preflight::Preflight>,
+}
+
+/// A robot's answers during the greeting.
+#[derive(Debug)]
+pub(crate) struct Greeted {
+    /// Whether the robot itself has sent its initialization block (its description) in this mission.
+    pub(crate) introduced: bool,
+    /// The latencies that the robot declares, if they differ from the compensated ones.
+    pub(crate) latency_differs: Option<LatencyDiffers>,
+    /// The readings that `settings.require` requires, in the order of these requirements.
+    pub(crate) readings: Vec<Option<f64>>,
+    /// Readings of the robot's other sensors, which are only displayed.
+    pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
+    /// The reason why a device gave no reading, in the robot's words.
+    pub(crate) unread: BTreeMap<DeviceId, String>,
+}
+
+impl Greeted {
+    pub(super) fn new(settings: &MissionSettings) -> Self {
+        let readings = vec![None; settings.require.len()];
+        Self {
+            introduced: false,
+            latency_differs: None,
+            readings,
+            shown: Vec::new(),
+            unread: BTreeMap::new(),
+        }
+    }
 }
 
 /// Whether a robot's round trip is longer than the longest accepted one.
@@ -85,7 +118,7 @@ impl Mission {
             answered: response.timestamp,
             arrived: self.outbox.arrived,
         };
-        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        let Some(sample) = self.robots[robot].contact.exchanges.answered(times) else { return };
         self.is_ours(now, robot);
         self.take_times(now, robot, sample);
         self.question_reached(now, robot, response.receive_timestamp);
@@ -111,7 +144,7 @@ impl Mission {
         robot: RobotIndex,
         block: InitializationBlock,
     ) {
-        if std::mem::replace(&mut self.robots[robot].introduced, true) {
+        if std::mem::replace(&mut self.robots[robot].greeted.introduced, true) {
             return;
         }
         if block.api_version.as_str().split('.').next() != Some("1") {
@@ -121,7 +154,7 @@ impl Mission {
         let unfit = self.unfit(robot, &block);
         let state = &self.robots[robot];
         let differs = LatencyDiffers::of(&self.choreography, &state.id, state.block.as_ref(), &block);
-        self.robots[robot].latency_differs = differs;
+        self.robots[robot].greeted.latency_differs = differs;
         self.robots[robot].block = Some(block);
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
@@ -188,21 +221,21 @@ impl Mission {
             _ => None,
         };
         if let (None, Some(error)) = (value, &response.error) {
-            self.robots[robot].unread.insert(response.device_id.clone(), error.message.clone());
+            self.robots[robot].greeted.unread.insert(response.device_id.clone(), error.message.clone());
         }
         match what {
-            Reading::Requirement(index) => self.robots[robot].readings[index] = value,
+            Reading::Requirement(index) => self.robots[robot].greeted.readings[index] = value,
             Reading::Position(device) => {
                 match value {
-                    Some(value) => self.robots[robot].positions.push((device, value)),
+                    Some(value) => self.robots[robot].pose.read.push((device, value)),
                     None if matches!(self.phase, Phase::Greeting { .. }) => {
-                        self.robots[robot].shown.push((device, None));
+                        self.robots[robot].greeted.shown.push((device, None));
                     }
                     None => {}
                 }
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
             }
-            Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
+            Reading::Shown(device) => self.robots[robot].greeted.shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
                 let told = act.and_then(|act| act.sensor_read(value));
@@ -230,7 +263,7 @@ impl Mission {
         let full = self.options.greeting == Greeting::Full;
         let heard = |robot: &RobotState| {
             let sampled = robot.clock.samples() >= CLOCK_SAMPLES || robot.is_of_another();
-            let greeted = robot.introduced && sampled && robot.has_shown_its_pose();
+            let greeted = robot.greeted.introduced && sampled && robot.has_shown_its_pose();
             let absent = robot.standing != Standing::In;
             robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
         };
@@ -316,7 +349,7 @@ impl Mission {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
             // Clocks that are known well enough are also checked from time to time, because a clock may be set meanwhile.
-            let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
+            let stale = state.contact.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
             if (unsure || is_too_slow(state)) && state.is_up() {
                 self.ask_further(now, robot);
@@ -333,7 +366,7 @@ impl Mission {
     pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
-        if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
+        if state.contact.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
             self.ask_availability(now, robot);
         }
     }
@@ -392,9 +425,10 @@ impl Mission {
             {
                 continue;
             }
-            let short = robot.settings.require.iter().zip(&robot.readings).filter(|(required, reading)| {
-                !reading.is_some_and(|reading| required.range.contains(reading))
-            });
+            let short =
+                robot.settings.require.iter().zip(&robot.greeted.readings).filter(|(required, reading)| {
+                    !reading.is_some_and(|reading| required.range.contains(reading))
+                });
             let short: Vec<_> = short
                 .map(|(required, reading)| FailureKind::Requirement {
                     sensor: required.sensor.clone(),
@@ -425,7 +459,7 @@ impl Mission {
                 Link::Up { .. } if full && robot.requests.awaited_readings().next().is_some() => {
                     "readings of its sensors"
                 }
-                Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",
+                Link::Up { .. } if full && robot.pose.owed > 0 => "positions of its devices",
                 Link::Up { .. } => continue,
             };
             if self.options.join == Join::NextAct && !robot.is_up() {
@@ -433,7 +467,7 @@ impl Mission {
                 self.reconnect(index);
                 continue;
             }
-            let awaited = match robot.exchanges.ignored() {
+            let awaited = match robot.contact.exchanges.ignored() {
                 0 => awaited.to_owned(),
                 ignored => format!(
                     "{awaited} (answers ignored because they match no request or have impossible times: {ignored})"
@@ -451,7 +485,7 @@ impl Mission {
         if state.clock.samples() < CLOCK_SAMPLES {
             return self.ask_further(now, robot);
         }
-        if state.introduced && !state.has_failed() && self.options.join == Join::NextAct {
+        if state.greeted.introduced && !state.has_failed() && self.options.join == Join::NextAct {
             self.joins(robot);
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Reattached { robot });
@@ -462,7 +496,7 @@ impl Mission {
     pub(super) fn joins(&mut self, robot: RobotIndex) {
         self.robots[robot].standing = Standing::In;
         self.robots[robot].joined_late = true;
-        self.robots[robot].unplaced = true;
+        self.robots[robot].pose.unplaced = true;
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 

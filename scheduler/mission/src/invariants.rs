@@ -102,13 +102,13 @@ impl Mission {
             "A robot that is missing at first is refused"
         );
         holds!(
-            robot.positions_asked.as_ref().is_none_or(|asked| asked.at <= asked.since + SLOWS_MAX),
+            robot.pose.asked.as_ref().is_none_or(|asked| asked.at <= asked.since + SLOWS_MAX),
             id,
             "the mission asks its robot for the position, and again until it no longer changes, for at most 4 s"
         );
         if self.options.greeting == Greeting::Skip && matches!(self.phase, Phase::Greeting { .. }) {
             holds!(
-                robot.commanded.is_empty() && robot.positions_asked.is_none(),
+                robot.pose.commanded.is_empty() && robot.pose.asked.is_none(),
                 id,
                 "With `handshake: skip`, the mission does not ask, so all positions are unknown."
             );
@@ -119,7 +119,7 @@ impl Mission {
         match self.phase {
             Phase::Greeting { .. } => {
                 holds!(
-                    self.robots.iter().all(|robot| matches!(robot.stop, Stop::None)),
+                    self.robots.iter().all(|robot| matches!(robot.halt.stop, Stop::None)),
                     "the greeting",
                     "It gives up only once all robots have answered or failed"
                 );
@@ -187,7 +187,12 @@ impl Mission {
             for member in act.members() {
                 let robot = &self.robots[member.robot];
                 let out = member.scripts().iter().any(|script| script.is_out());
-                assert!(!(out && robot.at_rest), "{} rests, so it has no script of {}", robot.id, act.name());
+                assert!(
+                    !(out && robot.halt.at_rest),
+                    "{} rests, so it has no script of {}",
+                    robot.id,
+                    act.name()
+                );
                 assert!(
                     !(out && robot.standing == Standing::Absent),
                     "{} is absent, so it has no script of {}",
@@ -322,13 +327,13 @@ impl Mission {
         let state = &self.robots[robot];
         let id = &state.id;
         holds!(
-            matches!(state.stop, Stop::Sent(_)),
+            matches!(state.halt.stop, Stop::Sent(_)),
             id,
             "A robot gets an empty script only while it is being stopped."
         );
-        let Stop::Sent(sent) = &state.stop else { return };
+        let Stop::Sent(sent) = &state.halt.stop else { return };
         holds!(
-            state.touched.contains(&request.device_id),
+            state.halt.touched.contains(&request.device_id),
             format_args!("{id}/{}", request.device_id),
             "Every device that was sent anything gets an empty script."
         );
@@ -355,15 +360,19 @@ impl Mission {
             }
             _ => false,
         };
-        let stopped_before = matches!(&state.stop, Stop::Sent(sent) if sent.at < self.outbox.arrived);
+        let stopped_before = matches!(&state.halt.stop, Stop::Sent(sent) if sent.at < self.outbox.arrived);
         holds!(
             !stopped_before && !before.iter().any(stopped_now),
             id,
             "Once every robot has confirmed its stop, the mission prepares the act again"
         );
-        let is_stopped = matches!(state.stop, Stop::Sent(_));
+        let is_stopped = matches!(state.halt.stop, Stop::Sent(_));
         assert!(is_stopped || state.standing == Standing::In, "{id} takes part, so it is sent scripts");
-        assert!(state.touched.contains(&request.device_id), "{id}/{} was sent something", request.device_id);
+        assert!(
+            state.halt.touched.contains(&request.device_id),
+            "{id}/{} was sent something",
+            request.device_id
+        );
     }
 
     fn check_script(&self, robot: RobotIndex, request: &ControlRequest) {

@@ -226,9 +226,9 @@ impl Mission {
             Event::LinkUp { robot } => self.link_up(now, robot),
             Event::Proven { robot, until, is_of_replaced_authority } => {
                 let robot = &mut self.robots[robot];
-                robot.proven = true;
-                robot.certified_until = until;
-                robot.is_of_replaced_authority = is_of_replaced_authority;
+                robot.identity.proven = true;
+                robot.identity.certified_until = until;
+                robot.identity.is_of_replaced_authority = is_of_replaced_authority;
             }
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
@@ -295,7 +295,7 @@ impl Mission {
             Phase::Stopping { deadline, resend, .. } => Some(deadline.min(resend)),
             Phase::Ended => return None,
         };
-        let elsewhere = self.robots.iter().filter_map(|robot| robot.elsewhere.flatten());
+        let elsewhere = self.robots.iter().filter_map(|robot| robot.halt.elsewhere.flatten());
         due.into_iter().chain(self.timers.next_name).chain(elsewhere).min()
     }
 
@@ -374,7 +374,7 @@ impl Mission {
     /// which robot answers on the link.
     pub fn moved_by_another(&self) -> impl Iterator<Item = BTreeSet<DeviceId>> {
         let devices = |robot: &RobotState| {
-            if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
+            if robot.stop_was_sent() { BTreeSet::new() } else { robot.halt.touched.clone() }
         };
         self.robots.iter().map(devices)
     }

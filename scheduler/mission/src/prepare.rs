@@ -163,7 +163,9 @@ impl Mission {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
         unknown
-            .filter_map(|robot| Some(robot.questions.last_unanswered()? + lead::counted(robot.round_trip())))
+            .filter_map(|robot| {
+                Some(robot.contact.questions.last_unanswered()? + lead::counted(robot.round_trip()))
+            })
             .max()
     }
 
@@ -220,7 +222,7 @@ impl Mission {
         if now < since + within {
             for robot in unknown {
                 // The next round may come too late.
-                if self.robots[robot].questions.last_unanswered().is_none() {
+                if self.robots[robot].contact.questions.last_unanswered().is_none() {
                     self.ask(now, robot);
                 }
             }
@@ -244,7 +246,7 @@ impl Mission {
             let state = &self.robots[robot];
             let (linked, within) = (state.unmeasured_since()?, answers_within(state));
             if state.is_up() {
-                return Some((robot, state.questions.unanswered().unwrap_or(now) + within));
+                return Some((robot, state.contact.questions.unanswered().unwrap_or(now) + within));
             }
             Some((robot, linked + within)).filter(|(_, until)| now < *until)
         };
@@ -290,7 +292,7 @@ impl Mission {
         }
         for (robot, _) in &waits {
             // The question that begins the link may have had to wait for another act.
-            if self.robots[*robot].questions.last_unanswered().is_none() {
+            if self.robots[*robot].contact.questions.last_unanswered().is_none() {
                 self.ask(now, *robot);
             }
         }
@@ -449,7 +451,7 @@ impl Mission {
         for member in self.acts[index].members() {
             let robot = &mut self.robots[member.robot];
             robot.shift = member.shift();
-            member.scripts().iter().for_each(|script| _ = robot.adrift.remove(&script.plan.device));
+            member.scripts().iter().for_each(|script| _ = robot.pose.adrift.remove(&script.plan.device));
         }
         let number = self.acts[index].number();
         self.carry_out(now, number, actions);
@@ -561,16 +563,16 @@ mod tests {
     fn link_with_unknown_round_trip_is_awaited_until_its_response_is_due() {
         let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
         let known_at = |mission: &Mission| mission.links_known_at(&mission.acts[0]);
-        mission.robots[R0].questions.asked(at(10));
+        mission.robots[R0].contact.questions.asked(at(10));
         assert_eq!(known_at(&mission), None, "there is no link");
         mission.robots[R0].connected(at(0));
         mission.robots[R0].named();
         assert_eq!(known_at(&mission), None, "nothing was asked on it");
-        mission.robots[R0].questions.asked(at(10));
+        mission.robots[R0].contact.questions.asked(at(10));
         let there = at(5).assume_clock();
         mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(8)));
         assert_eq!(known_at(&mission), Some(at(10) + Span::from_millis(8)));
-        mission.robots[R0].questions.answer(at(10));
+        mission.robots[R0].contact.questions.answer(at(10));
         assert_eq!(known_at(&mission), None);
     }
 

@@ -86,7 +86,7 @@ impl Mission {
             }
             Some(Answered::Script(script)) => self.script_answered(now, robot, script, response),
             None => {
-                self.robots[robot].exchanges.ignore();
+                self.robots[robot].contact.exchanges.ignore();
                 tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
             }
         }
@@ -175,7 +175,7 @@ impl Mission {
     /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
     fn rests_already(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        if !matches!(state.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
+        if !matches!(state.halt.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
             return;
         }
         state.set_stop(Stop::Confirmed(Rest::InPlace));
@@ -190,12 +190,12 @@ impl Mission {
     /// session, so that no later stop affects that session.
     fn stop_refused(&mut self, robot: RobotIndex) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
-        if let Stop::Sent(sent) = &mut self.robots[robot].stop {
+        if let Stop::Sent(sent) = &mut self.robots[robot].halt.stop {
             sent.given_up |= sent.taken_over.is_some() && !by_operator;
         }
         let state = &self.robots[robot];
         let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
-        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.stop else { return };
+        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.halt.stop else { return };
         if !state.failures.iter().any(told) {
             let error = error.clone();
             self.note_failure(robot, FailureKind::NotAvailable { error });
@@ -236,8 +236,8 @@ impl Mission {
         translated.into_iter().for_each(|record| self.record(record));
         let state = &mut self.robots[robot];
         state.shift = shift.unwrap_or(state.shift);
-        state.touched.insert(request.device_id.clone());
-        state.at_rest = false;
+        state.halt.touched.insert(request.device_id.clone());
+        state.halt.at_rest = false;
         if let Some(id) = &request.request_id {
             state.requests.add_script(id.clone(), script);
         }

@@ -46,7 +46,7 @@ impl Mission {
                 robot.standing = Standing::Out;
             }
             if let Some(devices) = kept.touched.get(&robot.id) {
-                robot.touched.clone_from(devices);
+                robot.halt.touched.clone_from(devices);
             }
         }
         kept.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
@@ -133,10 +133,10 @@ impl Mission {
                 Standing::In if !is_member => {
                     // Otherwise the mission would not have begun without the robot.
                     self.options.join = Join::NextAct;
-                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::Absent, true, true);
+                    (robot.standing, robot.joined_late, robot.pose.unplaced) = (Standing::Absent, true, true);
                 }
                 Standing::Absent if is_member => {
-                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::In, false, false);
+                    (robot.standing, robot.joined_late, robot.pose.unplaced) = (Standing::In, false, false);
                 }
                 _ => {}
             }
@@ -163,7 +163,7 @@ impl Mission {
     /// Asks a robot that the previous process left out, and that has confirmed its stop, which steps it played.
     pub(super) fn ask_how_far_it_came(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
-        let is_out = state.standing == Standing::Out && matches!(state.stop, Stop::Confirmed(_));
+        let is_out = state.standing == Standing::Out && matches!(state.halt.stop, Stop::Confirmed(_));
         if is_out && state.takes_inquiries() {
             let named: Vec<_> = self.acts.iter().filter_map(|act| act.unheard_of(robot)).collect();
             if !named.is_empty() {
@@ -177,12 +177,12 @@ impl Mission {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
         let Some(left) = left.robots.get(&robot.id) else { return };
-        robot.touched.clone_from(&left.devices);
+        robot.halt.touched.clone_from(&left.devices);
         robot.shift = left.shift;
-        robot.left =
+        robot.halt.left =
             left.leases.iter().map(|lease| lease.map(|lease| renewed_until + lease.span())).collect();
-        if robot.left.is_empty() {
-            robot.left.push(Some(renewed_until));
+        if robot.halt.left.is_empty() {
+            robot.halt.left.push(Some(renewed_until));
         }
     }
 
@@ -205,7 +205,7 @@ impl Mission {
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in mission.robots.indices() {
             if let Some(own_id) = left.own_ids.get(&mission.robots[robot].id) {
-                mission.robots[robot].own_id.clone_from(own_id);
+                mission.robots[robot].identity.own_id.clone_from(own_id);
             }
             mission.holds_still(robot, left, now);
         }
@@ -244,7 +244,7 @@ impl Mission {
         for (robot, id, script) in act.all_names() {
             let robot = &mut self.robots[robot];
             robot.requests.add_script(id, script);
-            robot.touched.insert(act.script(script).plan.device.clone());
+            robot.halt.touched.insert(act.script(script).plan.device.clone());
         }
         for member in act.members() {
             let robot = &mut self.robots[member.robot];

@@ -83,7 +83,7 @@ impl Mission {
 
     /// Whether an act that approaches its start asks the robot itself. To save bandwidth, the robot is not asked twice.
     fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: RobotIndex) -> bool {
-        let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
+        let asked = self.robots[robot].contact.questions.last_asked().is_some_and(|at| at > lately);
         asked && self.acts.iter().any(|act| act.approaches(robot))
     }
 
@@ -102,7 +102,7 @@ impl Mission {
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
         if self.timers.next_round.is_some_and(|due| now > due + HELD_UP) {
             self.machine.rounds_held_up += 1;
-            self.robots.iter_mut().for_each(|robot| robot.questions.forgive());
+            self.robots.iter_mut().for_each(|robot| robot.contact.questions.forgive());
             self.timers.next_silence = None;
         }
     }
@@ -141,8 +141,8 @@ impl Mission {
             return;
         }
         let named = in_parts(named);
-        state.questions.asked(now);
-        state.exchanges.asked(now, named.len().max(1));
+        state.contact.questions.asked(now);
+        state.contact.exchanges.asked(now, named.len().max(1));
         let session = self.options.session_on_the_wire();
         if !state.takes_inquiries() {
             let request =
@@ -164,10 +164,10 @@ impl Mission {
     /// Asks a robot for its times and claims it for the session. This also renews all leases. If requested, takes the robot over from
     /// another session.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
-        self.robots[robot].questions.asked(now);
-        self.robots[robot].exchanges.asked(now, 1);
+        self.robots[robot].contact.questions.asked(now);
+        self.robots[robot].contact.exchanges.asked(now, 1);
         let session = self.options.session_on_the_wire();
-        let seize = self.robots[robot].ownership == Ownership::Seizing;
+        let seize = self.robots[robot].identity.ownership == Ownership::Seizing;
         let request = AvailabilityRequest { timestamp: Some(now), session, seize, revocation_list: None };
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
@@ -179,7 +179,7 @@ impl Mission {
         let owed = state.owes_its_times();
         let known = known && state.unmeasured_since().is_none();
         state.clock.add(sample);
-        state.questions.answer(sample.sent);
+        state.contact.questions.answer(sample.sent);
         let answered = owed && !state.owes_its_times();
         // A process that takes over a mission does not know by which clock the robot's scripts were sent.
         if state.clock.steps() > steps || state.clock.samples() == 1 {
@@ -233,7 +233,7 @@ impl Mission {
         }
         let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
         let state = &self.robots[robot];
-        let spoken = state.questions.passed_over() || state.was_spoken_to(now, (before, at));
+        let spoken = state.contact.questions.passed_over() || state.was_spoken_to(now, (before, at));
         let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, (before, at)));
         if let Some(kind) = ran_out.or_else(|| broke_off().filter(|_| !spoken)) {
             self.fail(now, robot, kind);
@@ -253,7 +253,7 @@ impl Mission {
             answered: response.timestamp,
             arrived: self.outbox.arrived,
         };
-        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        let Some(sample) = self.robots[robot].contact.exchanges.answered(times) else { return };
         let asked_at = sample.sent;
         // The times are not used as a clock sample: the robot may belong to another session, and a robot with many devices sends several
         // answers at once.
@@ -296,7 +296,7 @@ impl Mission {
     pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
-        if self.phase == Phase::Performing && !known && state.questions.last_unanswered().is_none() {
+        if self.phase == Phase::Performing && !known && state.contact.questions.last_unanswered().is_none() {
             self.ask(now, robot);
         }
     }
@@ -304,10 +304,10 @@ impl Mission {
     /// Reports a robot's own status to the operator from time to time.
     fn tell_heard(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        if state.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
+        if state.contact.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
             return;
         }
-        state.told_at = Some(now);
+        state.contact.told_at = Some(now);
         self.tell_steps(robot);
     }
 

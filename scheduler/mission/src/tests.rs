@@ -176,7 +176,7 @@ fn stopped_robot_with_waiting_script_rests_when_its_pending_lease_ends() {
     let member = &act.members()[MemberIndex::new(0)];
     let lease = act.timing().unwrap().lead.lease;
     let left = act.left_behind(member, 0, &mission.robots[R0], at(1));
-    assert_eq!(left, Some(Some(mission.robots[R0].last_sent.unwrap() + lease)));
+    assert_eq!(left, Some(Some(mission.robots[R0].contact.last_sent.unwrap() + lease)));
 }
 
 #[test]
@@ -204,7 +204,7 @@ fn required_sensor_passes_once_read_and_only_if_robots_are_greeted() {
         let mut mission = begins_at_once(Everything);
         let range = SensorRange::Above(50.0);
         mission.robots[R0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
-        mission.robots[R0].readings = readings;
+        mission.robots[R0].greeted.readings = readings;
         mission.options.greeting = greeting;
         let table = preflight::table(&mission, at(0));
         let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
@@ -276,7 +276,7 @@ fn robot_that_was_sent_nothing_gets_no_stop_and_others_get_only_one() {
     mission.stop_robot(at(1), R0, Rest::InPlace);
     mission.stop_robot(at(2), R0, Rest::Home);
     assert!(
-        matches!(&mission.robots[R0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
+        matches!(&mission.robots[R0].halt.stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
     );
     assert_eq!(mission.timers.stopped_at, Some(at(1)));
 }
@@ -574,8 +574,8 @@ fn robot_without_inquiries_owes_nothing_once_it_responds_after_its_stop() {
         let mut mission = begins_at_once(Tells::Reports);
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         mission.timers.stopped_at = Some(at(1));
-        mission.robots[R0].questions.asked(at(answered));
-        mission.robots[R0].questions.answer(at(answered));
+        mission.robots[R0].contact.questions.asked(at(answered));
+        mission.robots[R0].contact.questions.answer(at(answered));
         assert_eq!(mission.owes_a_fate(R0), owes, "answered {answered} ms after the beginning");
     }
 }
@@ -640,7 +640,7 @@ fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
     let timing = act.timing().unwrap();
     for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
         let last_sent = timing.start - timing.lead.lease - before;
-        mission.robots[R0].last_sent = Some(last_sent);
+        mission.robots[R0].contact.last_sent = Some(last_sent);
         assert_eq!(left_at(&mission, &act, at(1)), Some(Some(last_sent + ends_by)), "{before} before it");
     }
 }
@@ -652,7 +652,7 @@ fn running_script_ends_by_its_running_lease_from_the_last_message() {
     let started = act.timing().unwrap().start;
     let says = super::bench::response(&"a".parse().unwrap(), None, Status::Started, started);
     let _noted = act.answered(script, &says, started, &mission.robots);
-    mission.robots[R0].last_sent = Some(at(10));
+    mission.robots[R0].contact.last_sent = Some(at(10));
     let ends = at(10) + super::bench::RUNNING;
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends)));
     let there = by_robot(at(3));

@@ -404,5 +404,5 @@ impl Act {
 
 /// Whether a robot has answered a question that was sent at `since` or later. Also true for a robot that has never answered a question.
 fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
-    robot.questions.answered().is_none_or(|at| at >= since)
+    robot.contact.questions.answered().is_none_or(|at| at >= since)
 }

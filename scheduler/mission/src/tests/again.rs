@@ -255,7 +255,7 @@ fn stop_before_the_next_attempt_is_sent_only_if_robots_are_to_go_home() {
         played.happens(Event::StopRequested { rest, by: None });
         assert_eq!(played.run_to_the_end(), Outcome::Stopped);
         assert_eq!(played.stops() - before, sent, "{rest:?}");
-        let confirmed = matches!(played.mission.robots[R0].stop, Stop::Confirmed(Rest::Home));
+        let confirmed = matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(Rest::Home));
         assert_eq!(confirmed, rest == Rest::Home);
     }
 }

@@ -145,7 +145,7 @@ fn others_continue_without_a_failed_robot_and_the_outcome_reports_it() {
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
     let report = &played.mission.course.reports[0];
     assert_eq!(report.robots.iter().map(|robot| robot.left_out).collect::<Vec<_>>(), [false, true]);
-    let stopped = |robot: RobotIndex| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
+    let stopped = |robot: RobotIndex| matches!(played.mission.robots[robot].halt.stop, Stop::Confirmed(_));
     assert_eq!((stopped(R0), stopped(R1)), (false, true));
 }
 
@@ -407,7 +407,7 @@ fn strictest_policy_applies_when_robots_fail_together() {
         played.run_to_the_start();
         let now = played.now;
         played.mission.fail_all(now, vec![(R0, broken()), (R1, broken())]);
-        let rest_of_third = match &played.mission.robots[R2].stop {
+        let rest_of_third = match &played.mission.robots[R2].halt.stop {
             Stop::Sent(sent) => Some(sent.rest),
             _ => None,
         };

@@ -71,7 +71,7 @@ fn replaced(patience: Span) -> Played {
     played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + ms(20));
     let robot = &played.mission.robots[R0];
-    assert!(matches!(robot.stop, Stop::Confirmed(_)) && !robot.is_settled());
+    assert!(matches!(robot.halt.stop, Stop::Confirmed(_)) && !robot.is_settled());
     played
 }
 
@@ -103,7 +103,7 @@ fn stop_confirmed_by_a_process_not_yet_known_to_be_new_takes_effect_late() {
     played.mute.clear();
     played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + RUNNING - ms(40));
-    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
+    assert!(matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(_)));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (None, 0));
     played.run_until(played.now + ms(60));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (Some(&Outcome::Stopped), 1));
@@ -140,7 +140,7 @@ fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
     let actions = played.mission.advance(now);
     played.carry_out(actions);
     played.run_until(now + ms(1));
-    played.mission.robots[R0].elsewhere.expect("another process may run it").map(|until| until - start)
+    played.mission.robots[R0].halt.elsewhere.expect("another process may run it").map(|until| until - start)
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn longest_lease_of_the_lost_scripts_applies() {
     let elsewhere = |leases: &[Option<i64>]| {
         let mut mission = begins_at_once(Everything);
         leases.iter().for_each(|lease| mission.robots[R0].runs_elsewhere(lease.map(at)));
-        mission.robots[R0].elsewhere
+        mission.robots[R0].halt.elsewhere
     };
     assert_eq!(elsewhere(&[]), None);
     assert_eq!(elsewhere(&[Some(3), Some(5), Some(4)]), Some(Some(at(5))));
@@ -274,10 +274,10 @@ fn late_round_counts_as_a_machine_stall_and_excuses_open_requests() {
         let mut played = Played::begun(begins_at_once(Everything));
         let due = played.now;
         played.mission.timers.next_round = Some(due);
-        played.mission.robots[R0].questions.asked(due);
+        played.mission.robots[R0].contact.questions.asked(due);
         played.mission.notice_hold_up(due + ms(late));
         assert_eq!(played.mission.machine.rounds_held_up, held_up);
-        assert_eq!(played.mission.robots[R0].questions.unanswered().is_none(), held_up > 0);
+        assert_eq!(played.mission.robots[R0].contact.questions.unanswered().is_none(), held_up > 0);
     }
 }
 
@@ -353,7 +353,7 @@ fn silence_is_detected_by_a_check_that_runs_slightly_late() {
         played.run_to_the_start();
         let now = played.now;
         played.mission.robots[R0].heard(now - ms(60_000));
-        played.mission.robots[R0].questions.asked(now - ms(60_000));
+        played.mission.robots[R0].contact.questions.asked(now - ms(60_000));
         played.mission.timers.next_silence = Some(now - ms(looks));
         played.mission.notice_silence(now);
         assert_eq!(played.mission.robots[R0].has_failed(), noticed, "{looks} ms after it was due");
@@ -366,10 +366,10 @@ fn robot_just_asked_by_an_approaching_act_is_not_asked_again_by_a_round() {
         let mut played = Played::begun(begins_at_once(Everything));
         let now = played.now;
         assert!(played.mission.acts[0].approaches(R0) && !played.mission.acts[0].holds_messages_to(R0, now));
-        played.mission.robots[R0].questions.forgive();
+        played.mission.robots[R0].contact.questions.forgive();
         let mut questions = crate::robot_state::Questions::default();
         questions.asked(now - ms(asked));
-        played.mission.robots[R0].questions = questions;
+        played.mission.robots[R0].contact.questions = questions;
         played.mission.timers.next_round = Some(now);
         played.mission.renew_if_due(now);
         assert_eq!(played.mission.outbox.actions.len(), more, "asked {asked} ms ago");

@@ -33,7 +33,7 @@ fn resumed_mission_queries_sent_scripts_and_resends_none() {
             .script(ScriptRef { act: ActNumber::new(1), member: MemberIndex::new(0), script: 0 })
             .is_out()
     );
-    assert!(resumed.robots[R0].touched.contains(&"a".parse::<DeviceId>().unwrap()));
+    assert!(resumed.robots[R0].halt.touched.contains(&"a".parse::<DeviceId>().unwrap()));
     assert_eq!(resumed.timers.next_round, Some(now), "leases have been running out");
     assert_eq!(resumed.course.fates[ActIndex::new(0)].fate, ActFate::Played);
     let actions = happens(&mut resumed, now, Event::LinkUp { robot: R0 });
@@ -56,7 +56,7 @@ fn left_out_robot_stays_out_after_resumption_and_is_stopped() {
     let mut resumed = resumed_after(&played, 200);
     assert_eq!(resumed.mission.robots[R1].standing, Standing::Out);
     assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
-    assert!(matches!(resumed.mission.robots[R1].stop, Stop::Confirmed(_)));
+    assert!(matches!(resumed.mission.robots[R1].halt.stop, Stop::Confirmed(_)));
 }
 
 /// A mission some time after it left out its second robot, which had played one step.
@@ -303,7 +303,7 @@ fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
         Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
     let mut played = Played::linked(mission, &[R0]);
     let outcome = played.run_to_the_end();
-    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
+    assert!(matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(_)));
     assert_eq!(played.mission.robots[R0].failures.len(), 1, "the failure from the journal");
     (outcome, played.mission.because().map(str::to_owned))
 }

@@ -265,8 +265,8 @@ fn scripts_left_by_another_process_are_withdrawn_once_links_are_up() {
             let ending = (Outcome::Stopped, "why".to_owned());
             let mut mission =
                 Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::Home, at(0));
-            assert_eq!(mission.robots[R0].own_id.as_str(), "UR5-1");
-            assert_eq!(mission.robots[R0].left, expected);
+            assert_eq!(mission.robots[R0].identity.own_id.as_str(), "UR5-1");
+            assert_eq!(mission.robots[R0].halt.left, expected);
             let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 }));
             let devices: Vec<_> = stops.iter().map(|stop| stop.device_id.as_str()).collect();
             assert_eq!(devices, ["a", "b"]);

@@ -64,7 +64,7 @@ fn homes_sent(played: &Played) -> usize {
 
 /// The kind of rest that each robot has confirmed.
 fn rests(played: &Played) -> Vec<Option<Rest>> {
-    let rest = |robot: &RobotState| match robot.stop {
+    let rest = |robot: &RobotState| match robot.halt.stop {
         Stop::Confirmed(rest) => Some(rest),
         Stop::None | Stop::Sent(_) => None,
     };
@@ -249,7 +249,7 @@ fn no_robot_goes_home_while_one_may_still_move() {
     played.mission.robots[R1].settings.clock = ClockMode::Ntp;
     let still: Vec<_> = vec![None];
     says(&mut played, Rest::Home);
-    played.mission.robots[R1].left = still;
+    played.mission.robots[R1].halt.left = still;
     played.run_until(played.now + ms(60_000));
     assert!(planner.from.lock().unwrap().is_empty());
     assert!(
@@ -402,7 +402,7 @@ fn robot_that_confirms_its_stop_late_plays_the_next_act() {
         *at > goes_on && *robot == R1 && moves
     };
     let sent = played.sent.iter().any(script);
-    let stop = &played.mission.robots()[R1].stop;
+    let stop = &played.mission.robots()[R1].halt.stop;
     assert!(sent && matches!(stop, Stop::None), "{sent}, {stop:?}");
     assert_eq!(fates(&played)[1], ActFate::Played);
 }
