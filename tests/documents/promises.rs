@@ -221,3 +221,51 @@ fn document_states_current_promise_counts() {
         section.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok()).collect();
     assert_eq!(stated, figures.map(|(_, count)| count), "docs/simulation.md should state {figures:?}");
 }
+
+/// Files of the mission in which `holds!` quotes `docs/mission.md`.
+const QUOTING: [&str; 5] = [
+    "scheduler/mission/src/invariants.rs",
+    "scheduler/mission/src/act/invariants.rs",
+    "scheduler/mission/src/act/timing/invariants.rs",
+    "scheduler/mission/src/robot_state/invariants.rs",
+    "scheduler/mission/src/script/invariants.rs",
+];
+
+/// Returns the last string in the arguments of each `holds!`: the quoted statement.
+fn quotations(source: &str) -> Vec<&str> {
+    let arguments = source.split("holds!(").skip(1);
+    arguments.filter_map(|arguments| last_string(arguments)).collect()
+}
+
+/// Returns the last string before the parenthesis that ends the arguments.
+fn last_string(arguments: &str) -> Option<&str> {
+    let (mut depth, mut last, mut begins) = (1, None, None);
+    for (at, c) in arguments.char_indices() {
+        match (c, begins) {
+            ('"', Some(from)) => (last, begins) = (Some(&arguments[from..at]), None),
+            ('"', None) => begins = Some(at + 1),
+            ('(', None) => depth += 1,
+            (')', None) => depth -= 1,
+            _ => {}
+        }
+        if depth == 0 {
+            return last;
+        }
+    }
+    None
+}
+
+#[test]
+fn invariants_of_the_mission_quote_its_document() {
+    let stated = sentences(&read("docs/mission.md")).join(" ");
+    let mut wrong = Vec::new();
+    for path in QUOTING {
+        let source = read(path);
+        let quoted = quotations(&source);
+        assert_eq!(quoted.len(), source.matches("holds!(").count(), "{path}");
+        wrong.extend(
+            quoted.iter().filter(|quoted| !stated.contains(**quoted)).map(|it| format!("{path}: {it}")),
+        );
+    }
+    assert!(wrong.is_empty(), "docs/mission.md does not state:\n{}", wrong.join("\n"));
+}

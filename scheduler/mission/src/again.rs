@@ -10,7 +10,7 @@ use super::robot_state::Rest;
 use super::{ActIndex, ActNumber, Mission, Outcome, Phase, RobotIndex};
 
 /// The maximum number of times that an act is prepared again.
-const AGAIN_MAX: u32 = 2;
+pub(super) const AGAIN_MAX: u32 = 2;
 /// The minimum delay of this machine that the next attempt allows for. A machine that was late by less may be late by this much the next
 /// time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
@@ -58,7 +58,7 @@ impl Mission {
         // answer as late.
         let overdue = act.filter(|act| !act.is_committed()).map(|act| {
             let by = act.wakeup().map_or(Span::ZERO, |due| now - due);
-            by.max(self.lateness.largest())
+            by.max(self.machine.lateness.largest())
         });
         let is_slowness = |(robot, kind): &(RobotIndex, FailureKind)| match kind {
             FailureKind::Silent { .. } => {
@@ -110,7 +110,7 @@ impl Mission {
             act.is_not_started(outcome);
             let number = act.number();
             // Robots that play the previous act may have received nothing for some time.
-            self.next_round = Some(now);
+            self.timers.next_round = Some(now);
             return self.record(Record::Lapsing { number });
         }
         let Some(act) = self.acts.first() else { return };
@@ -119,7 +119,7 @@ impl Mission {
             Outcome::DecisionLate { by } | Outcome::CommitmentLate { by } => *by,
             _ => Span::ZERO,
         };
-        let hold_up = (late * 2).max(HOLD_UP_MIN).max(self.hold_up * 2);
+        let hold_up = (late * 2).max(HOLD_UP_MIN).max(self.machine.hold_up * 2);
         let reason = match suspended.as_slice() {
             [(_, FailureKind::Silent { .. }), ..] if act.progress() == Progressed::Preparing => {
                 let (count, all) = (suspended.len(), act.present().count());
@@ -137,20 +137,20 @@ impl Mission {
     pub(super) fn goes_again(&mut self, now: Timestamp<Server>, confirmed: bool) -> bool {
         let Some(again) = self.again.take() else { return false };
         let moved = self.acts.iter().any(|act| self.may_have_begun(now, act));
-        if self.then == Some(again.act) && confirmed && !moved {
-            self.hold_up = again.hold_up;
+        if self.course.then == Some(again.act) && confirmed && !moved {
+            self.machine.hold_up = again.hold_up;
             self.again = Some(again);
             return true;
         }
-        self.then = None;
+        self.course.then = None;
         // Robots that confirm nothing are the cause, not this machine.
         let failed =
             again.suspended.into_iter().filter(|(robot, _)| moved || self.robots[*robot].awaits_stop());
         let failed: Vec<_> = failed.collect();
-        if !failed.is_empty() && self.outcome != Some(Outcome::Stopped) {
-            self.because = None;
+        if !failed.is_empty() && self.conclusion.outcome != Some(Outcome::Stopped) {
+            self.conclusion.because = None;
             let moved = moved || self.has_moved();
-            self.outcome = Some(if moved { Outcome::Failed } else { Outcome::NotStarted });
+            self.conclusion.outcome = Some(if moved { Outcome::Failed } else { Outcome::NotStarted });
         }
         failed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
         false
@@ -162,9 +162,9 @@ impl Mission {
         while !self.acts.is_empty() {
             self.forget_act(now, 0);
         }
-        self.outcome = None;
-        self.because = None;
-        self.acts_repeated += 1;
+        self.conclusion.outcome = None;
+        self.conclusion.because = None;
+        self.course.repeated += 1;
         self.line_up_attempt(now, act, attempts, start);
         self.goes_on(now);
     }

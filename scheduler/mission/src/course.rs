@@ -9,14 +9,58 @@ use urrcp::{Server, Timestamp};
 use super::act::{Act, ActAction, Member, act_name};
 use super::facts::{ActReport, spread};
 use super::failure_kind::FailureKind;
-use super::fates::ActFate;
+use super::fates::{ActCourse, ActFate};
 use super::record::{ActFlaws, ActOver, OutOfTolerance, Record, StepsLate};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
-use super::{ActIndex, ActNumber, Action, Mission, Outcome, Phase, Progress};
+use super::{ActIndex, ActNumber, Action, IndexVec, Mission, Outcome, Phase, Progress};
 
 /// The maximum number of rows in all kept reports of acts together. A row is one robot in one act.
 const ROWS_KEPT: usize = 20_000;
+
+/// The course of a mission through its acts.
+#[derive(Debug)]
+pub(super) struct Course {
+    /// Number of acts that have begun.
+    pub(super) begun: u32,
+    /// The number of acts in `begun` that repeat a withdrawn act.
+    pub(super) repeated: u32,
+    /// Whether `acts_max` prevented a further act.
+    pub(super) bounded: bool,
+    /// The index of the act that a failure policy requests as the next one.
+    pub(super) detour: Option<ActIndex>,
+    /// The index of the act with which the mission continues after a stop.
+    pub(super) then: Option<ActIndex>,
+    /// Whether the act whose start the operator fixed has been queued.
+    pub(super) start_was_fixed: bool,
+    /// Number of consecutive acts that were skipped because no robot was left to play them.
+    pub(super) skipped: usize,
+    /// The fate of each act of the scenario.
+    pub(super) fates: IndexVec<ActIndex, ActCourse>,
+    /// Whether robots may have moved in a mission of another process that this mission only withdraws. The acts of that mission are not
+    /// in `fates`.
+    pub(super) moved_before: bool,
+    pub(super) reports: VecDeque<ActReport>,
+    pub(super) reports_omitted: usize,
+}
+
+impl Course {
+    pub(super) const fn new(fates: IndexVec<ActIndex, ActCourse>) -> Self {
+        Self {
+            begun: 0,
+            repeated: 0,
+            bounded: false,
+            detour: None,
+            then: None,
+            start_was_fixed: false,
+            skipped: 0,
+            fates,
+            moved_before: false,
+            reports: VecDeque::new(),
+            reports_omitted: 0,
+        }
+    }
+}
 
 impl Mission {
     /// Performs everything that is due while acts wait, start and play.
@@ -125,9 +169,9 @@ impl Mission {
         if !(last.is_committed() || last.is_over()) || !self.may_begin_another() {
             return;
         }
-        let way = self.detour.map_or(last.follow(), |act| Way::Act(act.get()));
+        let way = self.course.detour.map_or(last.follow(), |act| Way::Act(act.get()));
         if let Way::Act(act) = way {
-            self.detour = None;
+            self.course.detour = None;
             self.line_up_act(now, ActIndex::new(act));
         }
     }
@@ -135,18 +179,18 @@ impl Mission {
     /// Makes the mission continue with another act after a failure. An act that waits for the playing one to end is removed, unless it
     /// was sent.
     pub(super) fn lead_elsewhere(&mut self, act: ActIndex) {
-        self.detour = Some(act);
+        self.course.detour = Some(act);
         if let [.., _, waiting] = self.acts.as_slice()
             && !waiting.was_sent()
         {
             self.acts.pop();
-            self.acts_begun -= 1;
+            self.course.begun -= 1;
         }
     }
 
     /// Continues the mission after an act has ended while no other act is queued.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
-        let way = self.detour.take().map_or(follow, |act| Way::Act(act.get()));
+        let way = self.course.detour.take().map_or(follow, |act| Way::Act(act.get()));
         self.go_way(now, way);
     }
 
@@ -154,7 +198,7 @@ impl Mission {
         match way {
             Way::Act(act) if self.may_begin_another() => self.line_up_act(now, ActIndex::new(act)),
             Way::Act(_) => {
-                self.bounded = true;
+                self.course.bounded = true;
                 self.come_to_the_end();
             }
             Way::End => self.come_to_the_end(),
@@ -163,7 +207,7 @@ impl Mission {
     }
 
     fn may_begin_another(&self) -> bool {
-        self.options.acts_max.is_none_or(|acts_max| self.acts_begun - self.acts_repeated < acts_max)
+        self.options.acts_max.is_none_or(|acts_max| self.course.begun - self.course.repeated < acts_max)
     }
 
     fn come_to_the_end(&mut self) {
@@ -172,7 +216,8 @@ impl Mission {
                 self.note_failure(robot, FailureKind::NeverJoined { reason });
             }
         }
-        self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
+        self.conclusion.outcome =
+            Some(self.conclusion.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
         self.arrive_home();
         self.end();
     }
@@ -188,13 +233,13 @@ impl Mission {
         if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;
         }
-        if let Some(flaw) = &self.flaw_of_times {
+        if let Some(flaw) = &self.conclusion.flaw_of_times {
             return flaw.clone();
         }
         if self.robots.iter().any(is_out) {
             return Outcome::DoneWithout;
         }
-        let fates = self.fates.enumerated().filter(|(_, act)| act.was_skipped());
+        let fates = self.course.fates.enumerated().filter(|(_, act)| act.was_skipped());
         let skipped = fates.map(|(act, _)| act_name(&self.choreography, act));
         match skipped.collect::<Vec<_>>() {
             none if none.is_empty() => Outcome::Done,
@@ -205,7 +250,7 @@ impl Mission {
     /// Queues an act, which begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: ActIndex) {
         let fixed = self.options.fixed.operator.filter(|fixed| fixed.act == index);
-        let start = fixed.filter(|_| !std::mem::replace(&mut self.start_was_fixed, true));
+        let start = fixed.filter(|_| !std::mem::replace(&mut self.course.start_was_fixed, true));
         self.line_up_attempt(now, index, 0, start.map(|fixed| fixed.at));
     }
 
@@ -220,7 +265,7 @@ impl Mission {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
         let mut act =
-            Act::new(choreography, index, ActNumber::new(self.acts_begun), &self.robots, now, before);
+            Act::new(choreography, index, ActNumber::new(self.course.begun), &self.robots, now, before);
         if let Some(start) = start {
             act.starts_at(start);
         }
@@ -233,7 +278,7 @@ impl Mission {
         if self.acts.is_empty() {
             act.comes_next(now);
         }
-        self.acts_begun += 1;
+        self.course.begun += 1;
         self.acts.push(act);
         self.announce(self.acts.len() - 1);
         self.advance_act(now, self.acts.len() - 1);
@@ -257,7 +302,7 @@ impl Mission {
             Err(reason) => Err(reason),
         };
         let counts = answer.is_ok();
-        self.actions.push(Action::Answer(answer));
+        self.outbox.actions.push(Action::Answer(answer));
         if counts {
             self.goes_on(now);
         }
@@ -314,7 +359,7 @@ impl Mission {
         self.tell(Progress::ActWithdrawn { act: act.name() });
         for member in act.members() {
             let robot = &mut self.robots[member.robot];
-            robot.left.clear();
+            robot.halt.left.clear();
             let names = member.scripts().iter().filter_map(Script::request_id);
             names.for_each(|id| robot.requests.remove_script(id));
         }
@@ -340,10 +385,10 @@ impl Mission {
         let fate = self.fate_of(now, &act);
         match fate {
             ActFate::NobodyLeft => self.skipped_act(&act, fate),
-            fate => self.fates[act.index()].note(fate),
+            fate => self.course.fates[act.index()].note(fate),
         }
         if let Some(report) = ActReport::new(&act, &self.robots) {
-            self.skipped = 0;
+            self.course.skipped = 0;
             self.keep_report(&act, report);
         }
         if let Some(next) = self.acts.get_mut(index) {
@@ -355,8 +400,8 @@ impl Mission {
         let mut follow = act.follow();
         if !act.was_sent() {
             // A cycle of acts without a robot left to play them would never end.
-            self.skipped += 1;
-            if self.skipped > self.choreography.acts.len() {
+            self.course.skipped += 1;
+            if self.course.skipped > self.choreography.acts.len() {
                 follow = Way::End;
             }
         }
@@ -372,12 +417,12 @@ impl Mission {
     fn skipped_act(&mut self, act: &Act, fate: ActFate) {
         self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
         self.record(Record::ActSkipped(ActOver { act: act.index(), fate: fate.clone() }));
-        self.fates[act.index()].note(fate);
+        self.course.fates[act.index()].note(fate);
     }
 
     /// Whether robots have moved, or may have moved, in an act that is over, in this process or in one that died.
     pub(super) fn has_moved(&self) -> bool {
-        self.moved_before || self.fates.iter().any(|act| act.moved)
+        self.course.moved_before || self.course.fates.iter().any(|act| act.moved)
     }
 
     /// Whether robots may have begun to play an act: they have reported it, or its earliest start has passed and the fate of a script is
@@ -418,16 +463,16 @@ impl Mission {
 
     fn has_ended_before_the_stop(&self, act: &Act) -> bool {
         let end = act.timing().filter(|_| act.is_committed()).map(|timing| timing.end);
-        self.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
+        self.timers.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
     }
 
     /// Notes the flaws of an act that ended in this process, or in an earlier one that died. Flaws change the outcome of the mission.
     pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
         if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
-            self.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
+            self.conclusion.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
         }
         if let Some(StepsLate { late, tolerance }) = flaws.steps_late {
-            self.flaw_of_times.get_or_insert(Outcome::StepsLate { late, tolerance });
+            self.conclusion.flaw_of_times.get_or_insert(Outcome::StepsLate { late, tolerance });
         }
         for robot in self.robots.iter_mut().filter(|robot| flaws.unaccounted.contains(&robot.id)) {
             robot.was_lost_sight_of = true;
@@ -447,7 +492,7 @@ impl Mission {
         let unaccounted = unaccounted.map(|member| self.robots[member.robot].id.clone()).collect();
         let flaws = ActFlaws { unaccounted, out_of_tolerance, steps_late };
         self.is_flawed(&flaws);
-        let over = ActOver { act: act.index(), fate: self.fates[act.index()].fate.clone() };
+        let over = ActOver { act: act.index(), fate: self.course.fates[act.index()].fate.clone() };
         self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over, again: false });
         self.list(report);
         self.tell(Progress::ActEnded { act: act.name() });
@@ -455,11 +500,11 @@ impl Mission {
 
     /// Adds an act to the report of the mission, and drops the oldest acts if there are more than `ROWS_KEPT` rows.
     pub(super) fn list(&mut self, report: ActReport) {
-        self.reports.push_back(report);
+        self.course.reports.push_back(report);
         let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
-        while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {
-            self.reports.pop_front();
-            self.reports_omitted += 1;
+        while self.course.reports.len() > 1 && rows(&self.course.reports) > ROWS_KEPT {
+            self.course.reports.pop_front();
+            self.course.reports_omitted += 1;
         }
     }
 
@@ -479,12 +524,12 @@ impl Mission {
         for member in act.members() {
             // The robot's scripts of an earlier act are over, and were followed.
             if !self.robots[member.robot].stop_was_sent() {
-                self.robots[member.robot].left.clear();
+                self.robots[member.robot].halt.left.clear();
             }
             for (index, script) in member.scripts().iter().enumerate() {
                 let left = act.left_behind(member, index, &self.robots[member.robot], now);
                 let robot = &mut self.robots[member.robot];
-                robot.left.extend(left);
+                robot.halt.left.extend(left);
                 let error = act.start_error(member, script);
                 robot.totals.add(script, error);
                 if let Some(id) = script.request_id() {

@@ -114,14 +114,14 @@ impl Mission {
             && !std::mem::replace(&mut lost.connecting, true)
         {
             let after = state.next_attempt();
-            self.actions.push(Action::Reconnect { robot, after });
+            self.outbox.actions.push(Action::Reconnect { robot, after });
         }
     }
 
     /// Replaces a pending attempt to reconnect, which may still wait for its pause to end, with an immediate attempt.
     pub(super) fn reconnect_at_once(&mut self, robot: RobotIndex) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
-            self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
+            self.outbox.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
     }
 
@@ -146,7 +146,7 @@ impl Mission {
         let first = lost.since == now;
         if lost.give_up.is_none() {
             lost.give_up = ends;
-            self.give_up = self.give_up.into_iter().chain(ends).min();
+            self.timers.give_up = self.timers.give_up.into_iter().chain(ends).min();
         }
         if first {
             let robot = self.robots[robot].id.clone();
@@ -155,7 +155,7 @@ impl Mission {
     }
 
     pub(super) fn give_up_lost(&mut self, now: Timestamp<Server>) {
-        if self.give_up.is_none_or(|at| now < at) {
+        if self.timers.give_up.is_none_or(|at| now < at) {
             return;
         }
         let mut failing = Vec::new();
@@ -165,7 +165,7 @@ impl Mission {
                 failing.push((index, FailureKind::LinkDown { reason: lost.reason.clone() }));
             }
         }
-        self.give_up = self.earliest_give_up();
+        self.timers.give_up = self.earliest_give_up();
         if !failing.is_empty() {
             self.fail_all(now, failing);
         }
@@ -184,7 +184,7 @@ impl Mission {
             };
         }
         self.robots[robot].totals.reconnects += 1;
-        self.robots[robot].unplaced = true;
+        self.robots[robot].pose.unplaced = true;
         if self.robots[robot].stop_was_sent() {
             self.stop_on_new_link(now, robot);
             return self.ask_how_far_it_came(now, robot);
@@ -214,7 +214,7 @@ impl Mission {
     /// Notes the first message from a robot on a new link, and reports that the robot is back. For a robot that was absent so far, this
     /// is reported when it joins.
     pub(super) fn is_back(&mut self, robot: RobotIndex) {
-        self.give_up = self.earliest_give_up();
+        self.timers.give_up = self.earliest_give_up();
         if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Reattached { robot });

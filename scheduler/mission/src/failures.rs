@@ -7,7 +7,7 @@ use super::failure_kind::Failure;
 
 /// The maximum number of failures that are kept per robot. Of further failures, only the first one of each kind is kept, and the others
 /// are counted.
-const KEPT_MAX: usize = 64;
+pub(super) const KEPT_MAX: usize = 64;
 
 /// The failures of one robot, in order.
 #[derive(Debug, Default)]

@@ -86,6 +86,6 @@ impl Mission {
     /// Returns the number of rounds of questions to the robots that were so late that this machine must have stalled.
     #[must_use]
     pub const fn rounds_held_up(&self) -> u64 {
-        self.rounds_held_up
+        self.machine.rounds_held_up
     }
 }

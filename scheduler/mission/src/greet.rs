@@ -1,6 +1,8 @@
 //! Greets all robots at once, in steps 1 to 4 of the protocol: links, availability and clocks, initialization blocks. Then reads the
 //! sensors that the fleet file requires, and asks for the positions of devices.
 
+use std::collections::BTreeMap;
+
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
     RequestId, Server, Span, Status, StatusValue, Timestamp,
@@ -10,11 +12,15 @@ use super::exchanges::Times;
 use super::failure_kind::{FailureKind, Slow};
 use super::latency::LatencyDiffers;
 use super::lead::{self, ROUND_TRIP_LONGEST};
+use super::poses::FirstUses;
 use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, RobotIndex, error_of_status};
+use super::{
+    ClockMode, Greeting, Join, Mission, MissionSettings, Outcome, Phase, Progress, RobotIndex,
+    error_of_status,
+};
 use downbeat_yaml::render::counted;
 
 /// Number of timestamp exchanges with each robot before any decision.
@@ -27,6 +33,47 @@ const STALE: Span = Span::from_millis(500);
 /// Interval between checks whether a robot may be asked again. Questions to a robot are sent one at a time: several would delay each
 /// other on a link that keeps the order of messages.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
+
+/// The state of the checks before the first act.
+#[derive(Debug)]
+pub(super) struct FirstChecks {
+    /// The index of each robot of the first act, in the order of the act's plan; `None` for a robot without a participant.
+    pub(super) first_robots: Vec<Option<RobotIndex>>,
+    /// For each robot: the first script of each device, starting with the mission's first act, and the device's largest speed in the act
+    /// of that script.
+    pub(super) first_uses: FirstUses,
+    /// The time at which additional clock sampling ends, and the time of the next sample.
+    pub(super) sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
+    pub(super) preflight: Option<preflight::Preflight>,
+}
+
+/// A robot's answers during the greeting.
+#[derive(Debug)]
+pub(crate) struct Greeted {
+    /// Whether the robot itself has sent its initialization block (its description) in this mission.
+    pub(crate) introduced: bool,
+    /// The latencies that the robot declares, if they differ from the compensated ones.
+    pub(crate) latency_differs: Option<LatencyDiffers>,
+    /// The readings that `settings.require` requires, in the order of these requirements.
+    pub(crate) readings: Vec<Option<f64>>,
+    /// Readings of the robot's other sensors, which are only displayed.
+    pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
+    /// The reason why a device gave no reading, in the robot's words.
+    pub(crate) unread: BTreeMap<DeviceId, String>,
+}
+
+impl Greeted {
+    pub(super) fn new(settings: &MissionSettings) -> Self {
+        let readings = vec![None; settings.require.len()];
+        Self {
+            introduced: false,
+            latency_differs: None,
+            readings,
+            shown: Vec::new(),
+            unread: BTreeMap::new(),
+        }
+    }
+}
 
 /// Whether a robot's round trip is longer than the longest accepted one.
 fn is_too_slow(robot: &RobotState) -> bool {
@@ -69,9 +116,9 @@ impl Mission {
             originate: response.originate_timestamp,
             received: response.receive_timestamp,
             answered: response.timestamp,
-            arrived: self.arrived,
+            arrived: self.outbox.arrived,
         };
-        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        let Some(sample) = self.robots[robot].contact.exchanges.answered(times) else { return };
         self.is_ours(now, robot);
         self.take_times(now, robot, sample);
         self.question_reached(now, robot, response.receive_timestamp);
@@ -97,7 +144,7 @@ impl Mission {
         robot: RobotIndex,
         block: InitializationBlock,
     ) {
-        if std::mem::replace(&mut self.robots[robot].introduced, true) {
+        if std::mem::replace(&mut self.robots[robot].greeted.introduced, true) {
             return;
         }
         if block.api_version.as_str().split('.').next() != Some("1") {
@@ -107,7 +154,7 @@ impl Mission {
         let unfit = self.unfit(robot, &block);
         let state = &self.robots[robot];
         let differs = LatencyDiffers::of(&self.choreography, &state.id, state.block.as_ref(), &block);
-        self.robots[robot].latency_differs = differs;
+        self.robots[robot].greeted.latency_differs = differs;
         self.robots[robot].block = Some(block);
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
@@ -174,21 +221,21 @@ impl Mission {
             _ => None,
         };
         if let (None, Some(error)) = (value, &response.error) {
-            self.robots[robot].unread.insert(response.device_id.clone(), error.message.clone());
+            self.robots[robot].greeted.unread.insert(response.device_id.clone(), error.message.clone());
         }
         match what {
-            Reading::Requirement(index) => self.robots[robot].readings[index] = value,
+            Reading::Requirement(index) => self.robots[robot].greeted.readings[index] = value,
             Reading::Position(device) => {
                 match value {
-                    Some(value) => self.robots[robot].positions.push((device, value)),
+                    Some(value) => self.robots[robot].pose.read.push((device, value)),
                     None if matches!(self.phase, Phase::Greeting { .. }) => {
-                        self.robots[robot].shown.push((device, None));
+                        self.robots[robot].greeted.shown.push((device, None));
                     }
                     None => {}
                 }
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
             }
-            Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
+            Reading::Shown(device) => self.robots[robot].greeted.shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
                 let told = act.and_then(|act| act.sensor_read(value));
@@ -200,7 +247,7 @@ impl Mission {
             }
             Reading::Motion(number, index) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
-                act.into_iter().for_each(|act| act.motion_read(index, self.arrived, value));
+                act.into_iter().for_each(|act| act.motion_read(index, self.outbox.arrived, value));
             }
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
@@ -216,7 +263,7 @@ impl Mission {
         let full = self.options.greeting == Greeting::Full;
         let heard = |robot: &RobotState| {
             let sampled = robot.clock.samples() >= CLOCK_SAMPLES || robot.is_of_another();
-            let greeted = robot.introduced && sampled && robot.has_shown_its_pose();
+            let greeted = robot.greeted.introduced && sampled && robot.has_shown_its_pose();
             let absent = robot.standing != Standing::In;
             robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
         };
@@ -241,7 +288,7 @@ impl Mission {
             self.check_strictness();
         }
         let preflight = preflight::table(self, now);
-        self.preflight = Some(preflight.clone());
+        self.greeting.preflight = Some(preflight.clone());
         let failed = self.robots.iter().any(RobotState::has_failed);
         let follows = |robot: &&RobotState| robot.settings.clock == ClockMode::Ntp && !failed;
         let offsets = self.robots.iter().filter(follows).filter_map(|robot| robot.clock.reading());
@@ -286,23 +333,23 @@ impl Mission {
             && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
         let Phase::Greeting { deadline } = self.phase else { return false };
         let until = deadline.min(now + SAMPLING);
-        let (until, next) = *self.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
+        let (until, next) = *self.greeting.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
         let goes_on = !fits && next < until;
         if !goes_on {
-            self.sampling = None;
+            self.greeting.sampling = None;
         }
         goes_on
     }
 
     pub(super) fn sample_clocks(&mut self, now: Timestamp<Server>) {
-        let Some((until, next)) = self.sampling.filter(|(_, next)| now >= *next) else { return };
-        self.sampling = Some((until, next + SAMPLING_INTERVAL));
+        let Some((until, next)) = self.greeting.sampling.filter(|(_, next)| now >= *next) else { return };
+        self.greeting.sampling = Some((until, next + SAMPLING_INTERVAL));
         let enough = self.choreography.acts[self.options.first_act.get()].plan.start_tolerance / 8;
         for robot in self.robots.indices() {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
             // Clocks that are known well enough are also checked from time to time, because a clock may be set meanwhile.
-            let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
+            let stale = state.contact.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
             if (unsure || is_too_slow(state)) && state.is_up() {
                 self.ask_further(now, robot);
@@ -319,14 +366,14 @@ impl Mission {
     pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
-        if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
+        if state.contact.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
             self.ask_availability(now, robot);
         }
     }
 
     pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
         let plan = &self.choreography.acts[self.options.first_act.get()].plan;
-        SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
+        SkewBudget::of_planned(plan, &self.greeting.first_robots, &self.robots, now)
     }
 
     /// Refuses robots whose round trips are longer than the longest accepted one, because the others would wait for them.
@@ -378,9 +425,10 @@ impl Mission {
             {
                 continue;
             }
-            let short = robot.settings.require.iter().zip(&robot.readings).filter(|(required, reading)| {
-                !reading.is_some_and(|reading| required.range.contains(reading))
-            });
+            let short =
+                robot.settings.require.iter().zip(&robot.greeted.readings).filter(|(required, reading)| {
+                    !reading.is_some_and(|reading| required.range.contains(reading))
+                });
             let short: Vec<_> = short
                 .map(|(required, reading)| FailureKind::Requirement {
                     sensor: required.sensor.clone(),
@@ -411,7 +459,7 @@ impl Mission {
                 Link::Up { .. } if full && robot.requests.awaited_readings().next().is_some() => {
                     "readings of its sensors"
                 }
-                Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",
+                Link::Up { .. } if full && robot.pose.owed > 0 => "positions of its devices",
                 Link::Up { .. } => continue,
             };
             if self.options.join == Join::NextAct && !robot.is_up() {
@@ -419,7 +467,7 @@ impl Mission {
                 self.reconnect(index);
                 continue;
             }
-            let awaited = match robot.exchanges.ignored() {
+            let awaited = match robot.contact.exchanges.ignored() {
                 0 => awaited.to_owned(),
                 ignored => format!(
                     "{awaited} (answers ignored because they match no request or have impossible times: {ignored})"
@@ -427,7 +475,7 @@ impl Mission {
             };
             self.fail(now, index, FailureKind::Silent { awaited, within });
         }
-        self.sampling = None;
+        self.greeting.sampling = None;
         self.greeting_progress(now);
     }
 
@@ -437,7 +485,7 @@ impl Mission {
         if state.clock.samples() < CLOCK_SAMPLES {
             return self.ask_further(now, robot);
         }
-        if state.introduced && !state.has_failed() && self.options.join == Join::NextAct {
+        if state.greeted.introduced && !state.has_failed() && self.options.join == Join::NextAct {
             self.joins(robot);
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Reattached { robot });
@@ -448,13 +496,13 @@ impl Mission {
     pub(super) fn joins(&mut self, robot: RobotIndex) {
         self.robots[robot].standing = Standing::In;
         self.robots[robot].joined_late = true;
-        self.robots[robot].unplaced = true;
+        self.robots[robot].pose.unplaced = true;
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 
     /// Ends the mission with this outcome before anything has been sent that could move a robot.
     pub(super) fn refuse(&mut self, outcome: Outcome) {
-        self.outcome = Some(outcome);
+        self.conclusion.outcome = Some(outcome);
         if self.has_moved() {
             self.admit_that_it_moved();
         }

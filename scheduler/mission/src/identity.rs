@@ -10,10 +10,33 @@ use urrcp::{AvailabilityResponse, InitializationRequest, Message, RobotId, Serve
 use super::failure_kind::{Failure, FailureKind};
 use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
+use super::seize::Ownership;
 use super::{Action, Greeting, Loss, Mission, Phase, Progress, RobotIndex, error_of_status};
 
 /// How long a robot may take to identify itself. After this time, the robot is asked again, and its stops are sent without further delay.
 const ASK_AGAIN: Span = Span::from_millis(250);
+
+/// Who a robot is, and to whom it belongs.
+#[derive(Debug)]
+pub(crate) struct Identity {
+    /// The id with which the robot must identify itself.
+    pub(crate) own_id: RobotId,
+    /// Whether the robot and this mission have proven their identities to each other.
+    pub(crate) proven: bool,
+    /// The expiry of the robot's certificate, if it has presented one.
+    pub(crate) certified_until: Option<Timestamp<Server>>,
+    /// Whether another authority replaces the one that issued the robot's certificate.
+    pub(crate) is_of_replaced_authority: bool,
+    /// The session to which the robot belongs, as known during the greeting.
+    pub(crate) ownership: Ownership,
+}
+
+impl Identity {
+    pub(super) fn new(own_id: RobotId) -> Self {
+        let ownership = Ownership::default();
+        Self { own_id, proven: false, certified_until: None, is_of_replaced_authority: false, ownership }
+    }
+}
 
 impl Mission {
     pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
@@ -44,18 +67,18 @@ impl Mission {
         let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
         // The question is sent before the stops, because its answer must precede theirs.
         let urgent = self.robots[robot].awaits_stop();
-        self.actions.push(Action::Send { robot, message, urgent });
+        self.outbox.actions.push(Action::Send { robot, message, urgent });
         let again = now + ASK_AGAIN;
-        self.next_name = Some(self.next_name.map_or(again, |next| next.min(again)));
+        self.timers.next_name = Some(self.timers.next_name.map_or(again, |next| next.min(again)));
     }
 
     /// Asks robots again that have not identified themselves. A robot that still does not answer is treated like one that was not
     /// reached.
     pub(super) fn ask_names_again(&mut self, now: Timestamp<Server>) {
-        if self.next_name.is_none_or(|next| now < next) {
+        if self.timers.next_name.is_none_or(|next| now < next) {
             return;
         }
-        self.next_name = None;
+        self.timers.next_name = None;
         let greets = matches!(self.phase, Phase::Greeting { .. });
         for robot in self.robots.indices() {
             let Some(since) = self.robots[robot].unnamed_since() else { continue };
@@ -84,7 +107,7 @@ impl Mission {
     ) -> bool {
         match message {
             _ if !self.asks_names() => true,
-            Message::InitializationBlock(block) if block.id == self.robots[robot].own_id => true,
+            Message::InitializationBlock(block) if block.id == self.robots[robot].identity.own_id => true,
             Message::InitializationBlock(block) => {
                 self.met_another(now, robot, block.id.clone());
                 false
@@ -121,7 +144,7 @@ impl Mission {
     /// Stops using a link that does not lead to the right robot.
     fn met_another(&mut self, now: Timestamp<Server>, robot: RobotIndex, told: RobotId) {
         let state = &mut self.robots[robot];
-        let kind = FailureKind::AnotherRobot { expected: state.own_id.clone(), told };
+        let kind = FailureKind::AnotherRobot { expected: state.identity.own_id.clone(), told };
         let known = state.failures.iter().any(|failure| failure.kind == kind);
         if self.phase == Phase::Ended || known && matches!(self.phase, Phase::Greeting { .. }) {
             return;

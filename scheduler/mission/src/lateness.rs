@@ -3,6 +3,8 @@
 
 use urrcp::{Server, Span, Timestamp};
 
+use super::clock::NtpState;
+
 /// The interval at which the mission asks to be called during the greeting, so that it knows the lateness before the first act.
 const PROBED_EVERY: Span = Span::from_millis(10);
 /// The minimum time for which a measured lateness remains in effect. It remains in effect for at most twice this time.
@@ -12,6 +14,25 @@ const LATENESS_MIN: Span = Span::from_millis(5);
 /// The largest lateness that is assumed. A longer delay is a stall, not the usual delay of a busy machine. An act that fails because of a
 /// stall is prepared again.
 const LATENESS_MAX: Span = Span::from_millis(100);
+
+/// This machine, as far as it delays the mission.
+#[derive(Debug)]
+pub(super) struct Machine {
+    /// How late this machine calls the mission.
+    pub(super) lateness: Lateness,
+    /// The allowance for delays of this machine, added to the round trip of the slowest link. It is at least twice the delay because of
+    /// which the last act was withdrawn.
+    pub(super) hold_up: Span,
+    /// Number of rounds of questions to robots that this machine started too late.
+    pub(super) rounds_held_up: u64,
+    pub(super) ntp: Option<NtpState>,
+}
+
+impl Machine {
+    pub(super) const fn new(now: Timestamp<Server>) -> Self {
+        Self { lateness: Lateness::new(now), hold_up: Span::ZERO, rounds_held_up: 0, ntp: None }
+    }
+}
 
 /// The largest lateness of recent calls: how long after the requested time this machine called the mission.
 #[derive(Clone, Copy, Debug)]

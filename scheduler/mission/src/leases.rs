@@ -30,7 +30,7 @@ impl Act {
         }
         // The last message may have travelled for the longest measured time.
         let delay = robot.clock.reading().map_or(Span::ZERO, |clock| clock.delay_max);
-        let silent_since = robot.last_sent? + delay;
+        let silent_since = robot.contact.last_sent? + delay;
         let pending_ends = member.pending_lease(script, timing.lead.lease).map(|lease| silent_since + lease);
         let waits = matches!(state.state(), ScriptState::Sent | ScriptState::Held);
         let ends = match pending_ends.filter(|ends| waits && *ends < begins) {

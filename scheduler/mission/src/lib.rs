@@ -64,7 +64,7 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
 
 use downbeat_plan::{Choreography, Plan};
-use urrcp::{ControlError, DeviceId, ErrorCode, Message, RobotId, Server, Span, Timestamp};
+use urrcp::{ControlError, DeviceId, ErrorCode, RobotId, Server, Timestamp};
 
 pub use claim::Claim;
 pub use downbeat_fleet::fleet::{ClockMode, MissionSettings, Requirement};
@@ -113,93 +113,26 @@ enum StoppedBy {
     Failure,
 }
 
-/// Durable records that are being written to disk.
-#[derive(Debug, Default)]
-struct Recording {
-    /// Number of durable records that were passed to the journal so far.
-    count: u64,
-    /// The records for which an act waits, or by which the speed of the disk is measured. For each: its number, the act, and the time of
-    /// the request.
-    awaited: VecDeque<(u64, Option<ActNumber>, Timestamp<Server>)>,
-    /// Duration of the slowest of the last writes; `None` before the first write.
-    longest: Option<Span>,
-}
-
 /// One mission, from connecting to its report.
 #[derive(Debug)]
 pub struct Mission {
     choreography: Arc<Choreography>,
     options: MissionOptions,
     robots: Robots,
-    /// The index of each robot of the first act, in the order of the act's plan; `None` for a robot without a participant.
-    first_robots: Vec<Option<RobotIndex>>,
-    /// For each robot: the first script of each device, starting with the mission's first act, and the device's largest speed in the act
-    /// of that script.
-    first_uses: poses::FirstUses,
     phase: Phase,
     /// The acts under way, in order of their start; the last one may still wait.
     acts: Vec<Act>,
-    acts_begun: u32,
-    /// The number of acts in `acts_begun` that repeat a withdrawn act.
-    acts_repeated: u32,
-    /// Whether `acts_max` prevented a further act.
-    bounded: bool,
-    /// The index of the act that a failure policy requests as the next one.
-    detour: Option<ActIndex>,
-    /// The index of the act with which the mission continues after a stop.
-    then: Option<ActIndex>,
+    course: course::Course,
     /// The state of the act that is planned after a stop and moves devices to their next or default positions.
     transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
-    /// Whether the act whose start the operator fixed has been queued.
-    start_was_fixed: bool,
-    /// The allowance for delays of this machine, added to the round trip of the slowest link. It is at least twice the delay because of
-    /// which the last act was withdrawn.
-    hold_up: Span,
-    /// How late this machine calls the mission.
-    lateness: lateness::Lateness,
-    next_round: Option<Timestamp<Server>>,
-    /// Number of rounds of questions to robots that this machine started too late.
-    rounds_held_up: u64,
-    /// The time of the next check whether a robot has been silent for too long.
-    next_silence: Option<Timestamp<Server>>,
-    /// The time of the next check whether a robot has not identified itself.
-    next_name: Option<Timestamp<Server>>,
-    /// The time at which stops were last sent.
-    stopped_at: Option<Timestamp<Server>>,
-    /// The earliest time at which the mission gives up a robot whose link is lost; `None` if none is scheduled.
-    give_up: Option<Timestamp<Server>>,
-    /// Messages that must not be sent before an act is committed or withdrawn, each with the index of its robot.
-    deferred: Vec<(RobotIndex, Message)>,
-    recording: Recording,
-    /// The fate of each act of the scenario.
-    fates: IndexVec<ActIndex, ActCourse>,
-    /// Whether robots may have moved in a mission of another process that this mission only withdraws. The acts of that mission are not
-    /// in `fates`.
-    moved_before: bool,
-    /// Number of consecutive acts that were skipped because no robot was left to play them.
-    skipped: usize,
-    /// The time at which additional clock sampling ends, and the time of the next sample.
-    sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
-    preflight: Option<Preflight>,
-    ntp: Option<NtpState>,
-    outcome: Option<Outcome>,
-    /// The reason for the stop, if neither the outcome nor a failure of a robot states it.
-    because: Option<String>,
-    /// How often the journal was removed or replaced while this process was writing it.
-    journal_written_again: u64,
-    /// The operator who stopped the mission, if another operator started it.
-    said_stop: Option<String>,
-    /// The outcome of the first failure in the course of the mission. Later events do not change it.
-    flawed: Option<Outcome>,
-    /// The outcome that follows from the first act whose starts were too far apart or whose steps were too late.
-    flaw_of_times: Option<Outcome>,
-    reports: VecDeque<ActReport>,
-    reports_omitted: usize,
-    /// Arrival time of the message that is being handled.
-    arrived: Timestamp<Server>,
-    actions: Vec<Action>,
+    greeting: greet::FirstChecks,
+    machine: lateness::Machine,
+    timers: rounds::Timers,
+    recording: requests::Recording,
+    conclusion: outcome::Conclusion,
+    outbox: requests::Outbox,
 }
 
 impl Mission {
@@ -247,44 +180,17 @@ impl Mission {
             choreography,
             options,
             robots: participants.into_iter().map(RobotState::new).collect(),
-            first_robots,
-            first_uses,
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
-            acts_begun: 0,
-            acts_repeated: 0,
-            bounded: false,
-            detour: None,
-            then: None,
+            course: course::Course::new(fates),
             transfer: transfer::Transfer::default(),
             again: None,
-            start_was_fixed: false,
-            hold_up: Span::ZERO,
-            lateness: lateness::Lateness::new(now),
-            next_round: None,
-            rounds_held_up: 0,
-            next_silence: None,
-            next_name: None,
-            stopped_at: None,
-            give_up: None,
-            deferred: Vec::new(),
-            recording: Recording::default(),
-            fates,
-            moved_before: false,
-            skipped: 0,
-            sampling: None,
-            preflight: None,
-            ntp: None,
-            outcome: None,
-            because: None,
-            journal_written_again: 0,
-            said_stop: None,
-            flawed: None,
-            flaw_of_times: None,
-            reports: VecDeque::new(),
-            reports_omitted: 0,
-            arrived: now,
-            actions: Vec::new(),
+            greeting: greet::FirstChecks { first_robots, first_uses, sampling: None, preflight: None },
+            machine: lateness::Machine::new(now),
+            timers: rounds::Timers::default(),
+            recording: requests::Recording::default(),
+            conclusion: outcome::Conclusion::default(),
+            outbox: requests::Outbox::new(now),
         }
     }
 
@@ -312,17 +218,17 @@ impl Mission {
     /// on `now`, measurements on `at`. The caller must then call [`Mission::advance`], as after [`Mission::handle`].
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
-        self.arrived = at;
-        self.lateness.called(now);
+        self.outbox.arrived = at;
+        self.machine.lateness.called(now);
         self.measure_disk(now);
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),
             Event::Proven { robot, until, is_of_replaced_authority } => {
                 let robot = &mut self.robots[robot];
-                robot.proven = true;
-                robot.certified_until = until;
-                robot.is_of_replaced_authority = is_of_replaced_authority;
+                robot.identity.proven = true;
+                robot.identity.certified_until = until;
+                robot.identity.is_of_replaced_authority = is_of_replaced_authority;
             }
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
@@ -332,20 +238,20 @@ impl Mission {
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),
             Event::JournalWrittenAgain => {
-                self.journal_written_again += 1;
+                self.recording.written_again += 1;
                 self.tell(Progress::JournalWrittenAgain);
             }
             Event::JournalLost { reason } => self.journal_lost(now, reason),
         }
         self.check(now);
-        std::mem::take(&mut self.actions)
+        std::mem::take(&mut self.outbox.actions)
     }
 
     /// Performs everything that is due at `now`, and handles the consequences of earlier events. Must be called
     /// after every [`Mission::handle`], and at [`Mission::next_wakeup`].
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
-        self.lateness.called(now);
+        self.machine.lateness.called(now);
         self.ask_names_again(now);
         self.other_processes_rest(now);
         match self.phase {
@@ -365,9 +271,10 @@ impl Mission {
             }
             Phase::Ended => {}
         }
-        self.lateness.asks(now, self.next_wakeup());
+        self.machine.lateness.asks(now, self.next_wakeup());
         self.check(now);
-        std::mem::take(&mut self.actions)
+        self.check_timers(now);
+        std::mem::take(&mut self.outbox.actions)
     }
 
     /// When [`Mission::advance`] is next due; `None` once the mission has ended.
@@ -375,18 +282,21 @@ impl Mission {
     pub fn next_wakeup(&self) -> Option<Timestamp<Server>> {
         let due = match self.phase {
             Phase::Greeting { deadline } => {
-                let sample = self.sampling.map(|(_, next)| next);
-                Some(sample.map_or(deadline, |next| next.min(deadline)).min(self.lateness.probe()))
+                let sample = self.greeting.sampling.map(|(_, next)| next);
+                Some(sample.map_or(deadline, |next| next.min(deadline)).min(self.machine.lateness.probe()))
             }
             Phase::Performing => {
                 let acts = self.acts.iter().filter_map(Act::wakeup);
-                acts.chain(self.give_up).chain(self.next_round).chain(self.next_silence).min()
+                acts.chain(self.timers.give_up)
+                    .chain(self.timers.next_round)
+                    .chain(self.timers.next_silence)
+                    .min()
             }
             Phase::Stopping { deadline, resend, .. } => Some(deadline.min(resend)),
             Phase::Ended => return None,
         };
-        let elsewhere = self.robots.iter().filter_map(|robot| robot.elsewhere.flatten());
-        due.into_iter().chain(self.next_name).chain(elsewhere).min()
+        let elsewhere = self.robots.iter().filter_map(|robot| robot.halt.elsewhere.flatten());
+        due.into_iter().chain(self.timers.next_name).chain(elsewhere).min()
     }
 
     /// The pending timers, as text for a trace.
@@ -395,7 +305,7 @@ impl Mission {
         let acts: Vec<_> = self.acts.iter().map(|act| (act.number(), act.wakeup())).collect();
         format!(
             "{:?}, acts {acts:?}, round {:?}, silence {:?}, give up {:?}",
-            self.phase, self.next_round, self.next_silence, self.give_up
+            self.phase, self.timers.next_round, self.timers.next_silence, self.timers.give_up
         )
     }
 
@@ -414,17 +324,17 @@ impl Mission {
     /// The final outcome; `None` before the end. [`crate::report::Report::of`] returns the complete report.
     #[must_use]
     pub fn outcome(&self) -> Option<&Outcome> {
-        self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
+        self.conclusion.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
     }
 
     /// How often the journal was removed or replaced while this process was writing it.
     pub(crate) const fn journal_written_again(&self) -> u64 {
-        self.journal_written_again
+        self.recording.written_again
     }
 
     /// The reason for the stop, if neither the outcome nor a failure of a robot states it.
     pub(crate) fn because(&self) -> Option<&str> {
-        self.because.as_deref()
+        self.conclusion.because.as_deref()
     }
 
     /// The outcome of the move to the default positions. `None` if no move home was requested.
@@ -438,7 +348,7 @@ impl Mission {
 
     /// The maximum number of acts, if this limit prevented a further act.
     pub(crate) fn bound_reached(&self) -> Option<u32> {
-        self.options.acts_max.filter(|_| self.bounded)
+        self.options.acts_max.filter(|_| self.course.bounded)
     }
 
     /// Limits the number of acts, unless the operator chose a limit.
@@ -464,7 +374,7 @@ impl Mission {
     /// which robot answers on the link.
     pub fn moved_by_another(&self) -> impl Iterator<Item = BTreeSet<DeviceId>> {
         let devices = |robot: &RobotState| {
-            if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
+            if robot.stop_was_sent() { BTreeSet::new() } else { robot.halt.touched.clone() }
         };
         self.robots.iter().map(devices)
     }
@@ -472,17 +382,17 @@ impl Mission {
     /// The reports of the acts that were sent, in order, and the number of earlier reports that are no longer kept.
     #[must_use]
     pub const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
-        (&self.reports, self.reports_omitted)
+        (&self.course.reports, self.course.reports_omitted)
     }
 
     /// The fate of every act of the scenario, in order.
     #[must_use]
     pub fn fates(&self) -> &[ActCourse] {
-        &self.fates
+        &self.course.fates
     }
 
     pub(crate) const fn preflight(&self) -> Option<&Preflight> {
-        self.preflight.as_ref()
+        self.greeting.preflight.as_ref()
     }
 
     /// The options of the mission, as the operator chose them.
@@ -494,7 +404,7 @@ impl Mission {
     /// Reports that this machine has lost or regained NTP. Robots that follow NTP stay in sync with each other, whatever the clock of
     /// this machine does.
     fn server_time(&mut self, state: NtpState) {
-        let before = self.ntp.replace(state).and_then(|before| before.lost_since);
+        let before = self.machine.ntp.replace(state).and_then(|before| before.lost_since);
         match (before, state.lost_since) {
             (None, Some(since)) => self.tell(Progress::NtpLost { since }),
             (Some(_), None) => self.tell(Progress::NtpBack { offset_change: state.offset_change }),
@@ -503,17 +413,17 @@ impl Mission {
     }
 
     pub(crate) const fn ntp(&self) -> Option<NtpState> {
-        self.ntp
+        self.machine.ntp
     }
 
     fn tell(&mut self, progress: Progress) {
-        self.actions.push(Action::Tell(progress));
+        self.outbox.actions.push(Action::Tell(progress));
     }
 
     fn end(&mut self) {
         self.report_all_at_rest();
         self.phase = Phase::Ended;
-        let outcome = self.outcome.clone().unwrap_or(Outcome::Failed);
+        let outcome = self.conclusion.outcome.clone().unwrap_or(Outcome::Failed);
         self.record(Record::Ended { outcome });
     }
 }

@@ -67,6 +67,10 @@ impl OpenRequests {
             _ => false,
         };
         let id = self.readings.iter().find(is_meant)?.clone();
+        debug_assert!(
+            matches!(self.by_id.get(&id), Some(OpenRequest::Reading { device, .. }) if *device == response.device_id),
+            "a response answers a reading of its device"
+        );
         self.take_reading(&id)
     }
 

@@ -7,6 +7,20 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::LeadTime;
 
+/// The outcome of a mission, as far as it is known, and its reason.
+#[derive(Debug, Default)]
+pub(super) struct Conclusion {
+    pub(super) outcome: Option<Outcome>,
+    /// The reason for the stop, if neither the outcome nor a failure of a robot states it.
+    pub(super) because: Option<String>,
+    /// The operator who stopped the mission, if another operator started it.
+    pub(super) said_stop: Option<String>,
+    /// The outcome of the first failure in the course of the mission. Later events do not change it.
+    pub(super) flawed: Option<Outcome>,
+    /// The outcome that follows from the first act whose starts were too far apart or whose steps were too late.
+    pub(super) flaw_of_times: Option<Outcome>,
+}
+
 /// The outcome of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

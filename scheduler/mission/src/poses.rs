@@ -1,7 +1,7 @@
 //! Start poses: the positions of devices before the first act that moves them, and the positions that the first steps of that act
 //! expect.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use downbeat_plan::{Choreography, DeviceScript, DeviceUse, FirstUse};
 use urrcp::{
@@ -12,8 +12,8 @@ use urrcp::{
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::prepare::answers_within;
-use super::robot_state::{PositionsAsked, Reading, RobotState, Standing};
-use super::{ActIndex, Greeting, IndexVec, Join, Mission, Phase, RobotIndex};
+use super::robot_state::{Reading, RobotState, Standing};
+use super::{ActIndex, ActNumber, Greeting, IndexVec, Join, Mission, Phase, RobotIndex};
 
 /// The position that the first step of a device expects, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +25,7 @@ pub(super) struct Expected {
 
 /// The maximum time for which the mission asks again for the position of a device that a stop has left adrift. Such a device may still
 /// slow down, so the mission asks until its position no longer changes.
-const SLOWS_MAX: Span = Span::from_millis(4_000);
+pub(super) const SLOWS_MAX: Span = Span::from_millis(4_000);
 /// Minimum time between two requests for a device's position, from the second request on.
 const ASK_AGAIN: Span = Span::from_millis(100);
 /// Minimum time between two requests for a position that a sensor reads. Within a shorter time, a device that still moves may move by
@@ -38,6 +38,34 @@ const SHOWN_MAX: usize = 64;
 /// Maximum number of devices in one inquiry, so that small robots can accept it.
 const NAMES_MAX: usize = 100;
 
+/// The positions of a robot's devices before an act.
+#[derive(Debug, Default)]
+pub(crate) struct Pose {
+    /// Whether the robot's devices may no longer be where the greeting found them, because the robot joined late or is on a new link.
+    pub(crate) unplaced: bool,
+    /// Devices that a stop has left at positions that the next act with these devices may not expect.
+    pub(crate) adrift: BTreeSet<DeviceId>,
+    /// The last request for positions before an act, on the current link.
+    pub(crate) asked: Option<PositionsAsked>,
+    /// The positions of devices before the first act, as their sensors read them.
+    pub(crate) read: Vec<(DeviceId, f64)>,
+    /// The commanded positions of devices before the first act, as reported by the robot.
+    pub(crate) commanded: BTreeMap<DeviceId, f64>,
+    /// Number of pending answers about commanded positions.
+    pub(crate) owed: usize,
+}
+
+/// A request for the positions of a robot's devices before an act.
+#[derive(Clone, Debug)]
+pub(crate) struct PositionsAsked {
+    pub(crate) act: ActNumber,
+    pub(crate) at: Timestamp<Server>,
+    /// The time of the first request for positions before this act.
+    pub(crate) since: Timestamp<Server>,
+    /// The positions of adrift devices in the previous answer.
+    pub(crate) before: BTreeMap<DeviceId, f64>,
+}
+
 impl RobotState {
     /// Twice the error of a device's position. The error is the one that the device declares, or its granularity if that is larger.
     /// `None` if the device is not described.
@@ -49,12 +77,12 @@ impl RobotState {
 
     /// Whether the robot has answered all requests for readings and positions of its devices.
     pub(super) fn has_shown_its_pose(&self) -> bool {
-        self.requests.awaited_readings().next().is_none() && self.positions_owed == 0
+        self.requests.awaited_readings().next().is_none() && self.pose.owed == 0
     }
 
     /// Whether the robot still owes an answer about the positions of its devices.
     fn owes_positions(&self) -> bool {
-        self.positions_owed > 0
+        self.pose.owed > 0
             || self.requests.awaited_readings().any(|what| matches!(what, Reading::Position(_)))
     }
 
@@ -66,7 +94,7 @@ impl RobotState {
 
     /// Whether two reported positions of a device may be the same position: they differ by no more than the error of its sensor.
     fn is_same_position(&self, device: &DeviceId, one: f64, other: f64) -> bool {
-        let is_read = self.positions.iter().any(|(read, _)| read == device);
+        let is_read = self.pose.read.iter().any(|(read, _)| read == device);
         let error = self.error_of(device).filter(|_| is_read).unwrap_or_default();
         (one - other).abs() <= error
     }
@@ -77,17 +105,17 @@ impl RobotState {
 
     /// The known positions of devices: the reading of the sensor, or else the commanded position.
     pub(super) fn known_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
-        let is_read = |device: &DeviceId| self.positions.iter().any(|(read, _)| read == device);
-        let commanded = self.commanded.iter().filter(move |(device, _)| !is_read(device));
-        let read = self.positions.iter().map(|(device, reading)| (device, *reading));
+        let is_read = |device: &DeviceId| self.pose.read.iter().any(|(read, _)| read == device);
+        let commanded = self.pose.commanded.iter().filter(move |(device, _)| !is_read(device));
+        let read = self.pose.read.iter().map(|(device, reading)| (device, *reading));
         read.chain(commanded.map(|(device, position)| (device, *position)))
     }
 
     /// Discards the known positions of the robot's devices, and stops awaiting the sensor readings of positions that the robot owes.
     pub(super) fn forget_positions(&mut self) {
         self.requests.forget_readings(|what| matches!(what, Reading::Position(_)));
-        self.positions.clear();
-        self.commanded.clear();
+        self.pose.read.clear();
+        self.pose.commanded.clear();
     }
 }
 
@@ -127,11 +155,11 @@ impl Mission {
         devices: &[DeviceId],
     ) {
         let parts: Vec<_> = devices.chunks(NAMES_MAX).map(<[DeviceId]>::to_vec).collect();
-        self.robots[robot].positions_owed = parts.len();
+        self.robots[robot].pose.owed = parts.len();
         if parts.is_empty() {
             return;
         }
-        self.robots[robot].exchanges.asked(now, parts.len());
+        self.robots[robot].contact.exchanges.asked(now, parts.len());
         let session = self.options.session_on_the_wire();
         for devices in parts {
             let inquiry =
@@ -148,9 +176,9 @@ impl Mission {
         devices: &[DeviceReport],
     ) {
         let state = &mut self.robots[robot];
-        state.positions_owed = state.positions_owed.saturating_sub(1);
+        state.pose.owed = state.pose.owed.saturating_sub(1);
         let stated = devices.iter().filter_map(|device| Some((device.device_id.clone(), device.position?)));
-        state.commanded.extend(stated);
+        state.pose.commanded.extend(stated);
         match self.phase {
             Phase::Greeting { .. } => self.greeting_progress(now),
             Phase::Stopping { .. } => {
@@ -173,7 +201,7 @@ impl Mission {
         let number = self.acts[index].number();
         let (mut due, mut silent) = (None, Vec::new());
         for robot in self.unplaced(&self.acts[index]) {
-            let asked = self.robots[robot].positions_asked.clone().filter(|asked| asked.act == number);
+            let asked = self.robots[robot].pose.asked.clone().filter(|asked| asked.act == number);
             let (mut at, next) = match asked {
                 None => (
                     now,
@@ -187,7 +215,7 @@ impl Mission {
                 let devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
                 self.robots[robot].forget_positions();
                 at = question.at;
-                self.robots[robot].positions_asked = Some(question);
+                self.robots[robot].pose.asked = Some(question);
                 if self.robots[robot].takes_inquiries() {
                     self.ask_positions_of(now, robot, &devices);
                 } else {
@@ -232,14 +260,14 @@ impl Mission {
         let act = &self.acts[index];
         let scripts = || {
             let scripts = self.unplaced_of(act, robot);
-            scripts.filter(|script| state.adrift.contains(&script.device))
+            scripts.filter(|script| state.pose.adrift.contains(&script.device))
         };
         let stated = scripts().filter_map(|script| {
             let device = script.device.clone();
             Some((device, state.known_position(&script.device)?))
         });
         let stated: BTreeMap<DeviceId, f64> = stated.collect();
-        let is_read = stated.keys().any(|device| state.positions.iter().any(|(read, _)| read == device));
+        let is_read = stated.keys().any(|device| state.pose.read.iter().any(|(read, _)| read == device));
         let at = match (is_read, asked.before.is_empty()) {
             (true, _) => now.max(asked.at + READ_AGAIN),
             (false, true) => now,
@@ -311,10 +339,11 @@ impl Mission {
         let asks = self.options.greeting == Greeting::Full;
         let is_unplaced = move |script: &&DeviceScript| {
             let device = &script.device;
-            let is_unchecked = || state.unplaced || !self.is_checked(act, robot, device);
-            let is_untouched = asks && !state.touched.contains(device) && is_unchecked();
+            let is_unchecked = || state.pose.unplaced || !self.is_checked(act, robot, device);
+            let is_untouched = asks && !state.halt.touched.contains(device) && is_unchecked();
             let may_jump = || self.expected_in(act, robot, script).is_some();
-            state.can_tell_position(device) && (state.adrift.contains(device) || is_untouched && may_jump())
+            state.can_tell_position(device)
+                && (state.pose.adrift.contains(device) || is_untouched && may_jump())
         };
         let member = act.member(robot).into_iter();
         member.flat_map(|member| member.firsts()).map(|script| &script.plan).filter(is_unplaced)
@@ -322,12 +351,22 @@ impl Mission {
 
     /// Whether the greeting has checked the position of a device for this act, and no stop has left the device adrift since.
     fn is_checked(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
-        self.is_first_use(act, robot, device) && !self.robots[robot].adrift.contains(device)
+        self.is_first_use(act, robot, device) && !self.robots[robot].pose.adrift.contains(device)
     }
 
     /// Whether this act is the first one that moves a device, in the order in which acts follow each other by `next`.
     fn is_first_use(&self, act: &Act, robot: RobotIndex, device: &DeviceId) -> bool {
-        self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
+        self.greeting.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index().get())
+    }
+
+    /// Whether a device would have to jump at its first step in this act, as far as its position is known. The mission has not moved the
+    /// device yet.
+    pub(super) fn would_jump(&self, act: &Act, robot: RobotIndex, script: &DeviceScript) -> bool {
+        let state = &self.robots[robot];
+        let known =
+            state.known_position(&script.device).filter(|_| !state.halt.touched.contains(&script.device));
+        let expected = self.expected_in(act, robot, script);
+        known.zip(expected).is_some_and(|(at, expected)| (at - expected.position).abs() > expected.within)
     }
 
     /// The failures of a robot's devices that would have to jump at their first step.
@@ -354,8 +393,8 @@ impl Mission {
     /// shows that it is elsewhere.
     pub(super) fn positions_to_leave(&self, index: RobotIndex) -> BTreeMap<DeviceId, f64> {
         let robot = &self.robots[index];
-        let mut positions = robot.commanded.clone();
-        for (device, reading) in &robot.positions {
+        let mut positions = robot.pose.commanded.clone();
+        for (device, reading) in &robot.pose.read {
             let error = robot.error_of(device).unwrap_or_default();
             if positions.get(device).is_none_or(|commanded| (commanded - reading).abs() > error) {
                 positions.insert(device.clone(), *reading);
@@ -366,7 +405,7 @@ impl Mission {
 
     /// The devices that a robot uses in the first act and in the acts that follow it by `next`.
     fn used_devices(&self, robot: RobotIndex) -> Vec<DeviceId> {
-        self.first_uses[robot].keys().cloned().collect()
+        self.greeting.first_uses[robot].keys().cloned().collect()
     }
 
     /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may be
@@ -375,7 +414,7 @@ impl Mission {
     /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
     /// before its first step.
     pub(super) fn expected_position(&self, index: RobotIndex, device: &DeviceId) -> Option<Expected> {
-        let (first, speed) = self.first_uses[index].get(device)?;
+        let (first, speed) = self.greeting.first_uses[index].get(device)?;
         let script = &self.choreography.acts[first.act].plan.robots[first.robot].scripts[first.script];
         self.expected_of(index, script, || *speed)
     }

@@ -193,18 +193,18 @@ fn readings(mission: &Mission, index: RobotIndex) -> Vec<DeviceReading> {
         described.unit.as_ref().map(ToString::to_string)
     };
     let row = |device: &DeviceId, reading: Option<f64>, expected| {
-        let why = robot.unread.get(device).filter(|_| reading.is_none()).cloned();
+        let why = robot.greeted.unread.get(device).filter(|_| reading.is_none()).cloned();
         DeviceReading { device: device.clone(), reading, why, unit: unit(device), expected }
     };
     let asked = mission.options.greeting == Greeting::Full;
-    let required = robot.settings.require.iter().zip(&robot.readings).filter(|_| asked);
+    let required = robot.settings.require.iter().zip(&robot.greeted.readings).filter(|_| asked);
     let required =
         required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
     let expected = |expected: Expected| format!("{} ±{}", expected.position, expected.within);
     let stands = robot.known_positions().map(|(device, reading)| {
         row(device, Some(reading), mission.expected_position(index, device).map(expected))
     });
-    let shown = robot.shown.iter().map(|(device, reading)| row(device, *reading, None));
+    let shown = robot.greeted.shown.iter().map(|(device, reading)| row(device, *reading, None));
     required.chain(stands).chain(shown).collect()
 }
 
@@ -213,18 +213,18 @@ const EXPIRES_SOON: Span = Span::from_millis(30 * DAY_MS);
 const DAY_MS: i64 = 24 * 3_600 * 1_000;
 
 fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
-    match robot.certified_until.map(|until| until - now).filter(|left| *left < EXPIRES_SOON) {
-        None if robot.is_of_replaced_authority => Verdict::Warning(format!(
+    match robot.identity.certified_until.map(|until| until - now).filter(|left| *left < EXPIRES_SOON) {
+        None if robot.identity.is_of_replaced_authority => Verdict::Warning(format!(
             "its certificate is of an authority that is being replaced: copy its new identity file to it, after `downbeat keys renew {}`",
-            robot.own_id
+            robot.identity.own_id
         )),
-        None => Verdict::Pass(robot.own_id.to_string()),
+        None => Verdict::Pass(robot.identity.own_id.to_string()),
         Some(left) => {
             let days = left.as_nanos() / 1_000_000 / DAY_MS;
             Verdict::Warning(format!(
                 "its certificate expires in {}: make a new one with `downbeat keys renew {}`",
                 counted(usize::try_from(days).unwrap_or_default(), "day"),
-                robot.own_id
+                robot.identity.own_id
             ))
         }
     }
@@ -255,7 +255,9 @@ fn verdict(mission: &Mission, index: RobotIndex, check: Check, now: Timestamp<Se
             Link::Lost(lost) => Verdict::Warning(lost.reason.clone()),
             Link::Connecting => Verdict::Warning("not there".to_owned()),
         },
-        Check::Identity | Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
+        Check::Identity | Check::Version | Check::Description if !robot.greeted.introduced => {
+            Verdict::NotChecked
+        }
         Check::Identity => identity(robot, now),
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
@@ -271,7 +273,7 @@ fn verdict(mission: &Mission, index: RobotIndex, check: Check, now: Timestamp<Se
             }
         }
         Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
-            true if robot.ownership == Ownership::Seized => {
+            true if robot.identity.ownership == Ownership::Seized => {
                 Verdict::Warning("ours, taken over from another session".to_owned())
             }
             true => Verdict::Pass("ours".to_owned()),
@@ -279,12 +281,12 @@ fn verdict(mission: &Mission, index: RobotIndex, check: Check, now: Timestamp<Se
         },
         Check::Sensors => match robot.settings.require.len() {
             0 => Verdict::NotChecked,
-            _ if !greeted || robot.readings.iter().any(Option::is_none) => Verdict::NotChecked,
+            _ if !greeted || robot.greeted.readings.iter().any(Option::is_none) => Verdict::NotChecked,
             _ => {
                 let readings =
-                    robot.settings.require.iter().zip(&robot.readings).filter_map(|(required, reading)| {
-                        Some(format!("{} {}", required.sensor, (*reading)?))
-                    });
+                    robot.settings.require.iter().zip(&robot.greeted.readings).filter_map(
+                        |(required, reading)| Some(format!("{} {}", required.sensor, (*reading)?)),
+                    );
                 Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
             }
         },
@@ -294,7 +296,7 @@ fn verdict(mission: &Mission, index: RobotIndex, check: Check, now: Timestamp<Se
 fn positions(mission: &Mission, index: RobotIndex) -> Verdict {
     let robot = &mission.robots[index];
     let unknown = match mission.options.greeting {
-        Greeting::Full if robot.introduced => mission.unknown_positions(index),
+        Greeting::Full if robot.greeted.introduced => mission.unknown_positions(index),
         _ => Vec::new(),
     };
     if let Some(first) = unknown.first() {
@@ -317,7 +319,7 @@ pub const NOT_STRICT: &str =
     "it does not declare `pending_until`: a delayed message may start a script whose start was not decided";
 
 fn description(robot: &RobotState) -> Verdict {
-    match &robot.latency_differs {
+    match &robot.greeted.latency_differs {
         Some(differs) => Verdict::Warning(differs.to_string()),
         None if robot.drops_undecided() => Verdict::Pass("fits".to_owned()),
         None => Verdict::Warning(NOT_STRICT.to_owned()),

@@ -163,7 +163,9 @@ impl Mission {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
         unknown
-            .filter_map(|robot| Some(robot.questions.last_unanswered()? + lead::counted(robot.round_trip())))
+            .filter_map(|robot| {
+                Some(robot.contact.questions.last_unanswered()? + lead::counted(robot.round_trip()))
+            })
             .max()
     }
 
@@ -220,7 +222,7 @@ impl Mission {
         if now < since + within {
             for robot in unknown {
                 // The next round may come too late.
-                if self.robots[robot].questions.last_unanswered().is_none() {
+                if self.robots[robot].contact.questions.last_unanswered().is_none() {
                     self.ask(now, robot);
                 }
             }
@@ -244,7 +246,7 @@ impl Mission {
             let state = &self.robots[robot];
             let (linked, within) = (state.unmeasured_since()?, answers_within(state));
             if state.is_up() {
-                return Some((robot, state.questions.unanswered().unwrap_or(now) + within));
+                return Some((robot, state.contact.questions.unanswered().unwrap_or(now) + within));
             }
             Some((robot, linked + within)).filter(|(_, until)| now < *until)
         };
@@ -290,7 +292,7 @@ impl Mission {
         }
         for (robot, _) in &waits {
             // The question that begins the link may have had to wait for another act.
-            if self.robots[*robot].questions.last_unanswered().is_none() {
+            if self.robots[*robot].contact.questions.last_unanswered().is_none() {
                 self.ask(now, *robot);
             }
         }
@@ -312,7 +314,7 @@ impl Mission {
     /// leave room for that.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
-        need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
+        need(self.machine.lateness.largest()).or_else(|_| need(Span::ZERO))
     }
 
     /// The timing that an act needs on a machine with this lateness. It also allows for the last delay of this machine (`hold_up`), which
@@ -324,7 +326,7 @@ impl Mission {
         act: &Act,
         skew: Option<&SkewBudget>,
     ) -> Result<Need, Outcome> {
-        let mut hold_up = self.hold_up;
+        let mut hold_up = self.machine.hold_up;
         loop {
             match self.need_with((hold_up, lateness), now, act, skew) {
                 Err(Outcome::LeaseTooShort { .. }) if hold_up > Span::ZERO => {
@@ -412,7 +414,7 @@ impl Mission {
     /// Checks the prescribed start or lead time of an act. The act keeps it or is refused; its start is never silently delayed.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
-        let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
+        let wanted = self.wanted_lead(act).filter(|_| self.machine.hold_up == Span::ZERO);
         if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
@@ -427,7 +429,7 @@ impl Mission {
 
     fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need) {
         // The act is sent later than any stop, because a stop takes back everything sent before it.
-        let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
+        let now = self.timers.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let act = &self.acts[index];
         let target = act.target();
         let slip = self.slip(act, now);
@@ -449,7 +451,7 @@ impl Mission {
         for member in self.acts[index].members() {
             let robot = &mut self.robots[member.robot];
             robot.shift = member.shift();
-            member.scripts().iter().for_each(|script| _ = robot.adrift.remove(&script.plan.device));
+            member.scripts().iter().for_each(|script| _ = robot.pose.adrift.remove(&script.plan.device));
         }
         let number = self.acts[index].number();
         self.carry_out(now, number, actions);
@@ -561,16 +563,16 @@ mod tests {
     fn link_with_unknown_round_trip_is_awaited_until_its_response_is_due() {
         let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
         let known_at = |mission: &Mission| mission.links_known_at(&mission.acts[0]);
-        mission.robots[R0].questions.asked(at(10));
+        mission.robots[R0].contact.questions.asked(at(10));
         assert_eq!(known_at(&mission), None, "there is no link");
         mission.robots[R0].connected(at(0));
         mission.robots[R0].named();
         assert_eq!(known_at(&mission), None, "nothing was asked on it");
-        mission.robots[R0].questions.asked(at(10));
+        mission.robots[R0].contact.questions.asked(at(10));
         let there = at(5).assume_clock();
         mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(8)));
         assert_eq!(known_at(&mission), Some(at(10) + Span::from_millis(8)));
-        mission.robots[R0].questions.answer(at(10));
+        mission.robots[R0].contact.questions.answer(at(10));
         assert_eq!(known_at(&mission), None);
     }
 

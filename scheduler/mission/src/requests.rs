@@ -2,6 +2,7 @@
 //! without ids, by the state of the scripts.
 
 use std::cmp::Reverse;
+use std::collections::VecDeque;
 
 use urrcp::{
     ControlResponse, DeviceId, ErrorCode, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
@@ -19,6 +20,36 @@ use super::{ActNumber, Action, ClockMode, Mission, Phase, RobotIndex, StoppedBy,
 const RECORDING: Span = Span::from_millis(30);
 /// The maximum time that is allowed for writing a durable record. With a slower disk, an act is committed too late.
 const RECORDING_MAX: Span = Span::from_millis(2_000);
+
+/// Durable records that are being written to disk.
+#[derive(Debug, Default)]
+pub(super) struct Recording {
+    /// Number of durable records that were passed to the journal so far.
+    pub(super) count: u64,
+    /// The records for which an act waits, or by which the speed of the disk is measured. For each: its number, the act, and the time of
+    /// the request.
+    pub(super) awaited: VecDeque<(u64, Option<ActNumber>, Timestamp<Server>)>,
+    /// Duration of the slowest of the last writes; `None` before the first write.
+    pub(super) longest: Option<Span>,
+    /// How often the journal was removed or replaced while this process was writing it.
+    pub(super) written_again: u64,
+}
+
+/// The actions and messages that the mission has decided on.
+#[derive(Debug)]
+pub(super) struct Outbox {
+    /// Arrival time of the message that is being handled.
+    pub(super) arrived: Timestamp<Server>,
+    pub(super) actions: Vec<Action>,
+    /// Messages that must not be sent before an act is committed or withdrawn, each with the index of its robot.
+    pub(super) deferred: Vec<(RobotIndex, Message)>,
+}
+
+impl Outbox {
+    pub(super) const fn new(now: Timestamp<Server>) -> Self {
+        Self { arrived: now, actions: Vec::new(), deferred: Vec::new() }
+    }
+}
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message) {
@@ -55,7 +86,7 @@ impl Mission {
             }
             Some(Answered::Script(script)) => self.script_answered(now, robot, script, response),
             None => {
-                self.robots[robot].exchanges.ignore();
+                self.robots[robot].contact.exchanges.ignore();
                 tracing::debug!(robot = %self.robots[robot].id, "ignored an answer that matches no open request: {response:?}");
             }
         }
@@ -128,7 +159,7 @@ impl Mission {
             return self.goes_on(now);
         }
         let was_barred = act.was_barred(script, response);
-        let noted = act.answered(script, response, self.arrived, &self.robots);
+        let noted = act.answered(script, response, self.outbox.arrived, &self.robots);
         self.report_rest(now, robot);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
@@ -144,7 +175,7 @@ impl Mission {
     /// Handles a robot that has ended all commands of this session by itself and rests: it needs no stop any more, and accepts none.
     fn rests_already(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        if !matches!(state.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
+        if !matches!(state.halt.stop, Stop::Sent(SentStop { rest: Rest::InPlace, .. })) {
             return;
         }
         state.set_stop(Stop::Confirmed(Rest::InPlace));
@@ -159,12 +190,12 @@ impl Mission {
     /// session, so that no later stop affects that session.
     fn stop_refused(&mut self, robot: RobotIndex) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
-        if let Stop::Sent(sent) = &mut self.robots[robot].stop {
+        if let Stop::Sent(sent) = &mut self.robots[robot].halt.stop {
             sent.given_up |= sent.taken_over.is_some() && !by_operator;
         }
         let state = &self.robots[robot];
         let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
-        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.stop else { return };
+        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.halt.stop else { return };
         if !state.failures.iter().any(told) {
             let error = error.clone();
             self.note_failure(robot, FailureKind::NotAvailable { error });
@@ -205,8 +236,8 @@ impl Mission {
         translated.into_iter().for_each(|record| self.record(record));
         let state = &mut self.robots[robot];
         state.shift = shift.unwrap_or(state.shift);
-        state.touched.insert(request.device_id.clone());
-        state.at_rest = false;
+        state.halt.touched.insert(request.device_id.clone());
+        state.halt.at_rest = false;
         if let Some(id) = &request.request_id {
             state.requests.add_script(id.clone(), script);
         }
@@ -230,7 +261,7 @@ impl Mission {
     pub(super) fn send(&mut self, now: Timestamp<Server>, robot: RobotIndex, mut message: Message) {
         let waits = |act: &Act| act.holds_messages_to(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
-            return self.deferred.push((robot, message));
+            return self.outbox.deferred.push((robot, message));
         }
         if self.acts.iter().any(|act| act.approaches(robot)) {
             self.inquire_now(now, robot);
@@ -254,7 +285,7 @@ impl Mission {
 
     /// Sends the messages that were deferred until an act was committed or withdrawn.
     pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
-        for (robot, message) in std::mem::take(&mut self.deferred) {
+        for (robot, message) in std::mem::take(&mut self.outbox.deferred) {
             let is_script =
                 matches!(&message, Message::ControlRequest(it) if it.time_offset_to_start.is_some());
             if !is_script || self.robots[robot].may_be_sent_scripts() {
@@ -274,13 +305,13 @@ impl Mission {
     fn post_by(&mut self, now: Timestamp<Server>, robot: RobotIndex, message: Message, urgent: bool) {
         if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
             self.robots[robot].is_sent(now, &message);
-            self.actions.push(Action::Send { robot, message, urgent });
+            self.outbox.actions.push(Action::Send { robot, message, urgent });
         }
     }
 
     pub(super) fn record(&mut self, record: Record) {
         self.recording.count += u64::from(record.is_durable());
-        self.actions.push(Action::Record(record));
+        self.outbox.actions.push(Action::Record(record));
     }
 
     /// Writes a record that an act waits for.
@@ -314,7 +345,7 @@ impl Mission {
             // The maximum decays slowly, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
             // Delays on this machine are not delays of the disk.
-            self.recording.longest = Some((self.arrived - asked).max(before));
+            self.recording.longest = Some((self.outbox.arrived - asked).max(before));
             let Some(number) = number else {
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
                 continue;

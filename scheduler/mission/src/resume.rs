@@ -46,14 +46,14 @@ impl Mission {
                 robot.standing = Standing::Out;
             }
             if let Some(devices) = kept.touched.get(&robot.id) {
-                robot.touched.clone_from(devices);
+                robot.halt.touched.clone_from(devices);
             }
         }
         kept.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
         mission.note_failures_of(&kept.failures);
         mission.list_ended(ended, kept.ended_acts);
         for ActOver { act, fate } in &kept.course {
-            let course = mission.fates.get_mut(act.get());
+            let course = mission.course.fates.get_mut(act.get());
             course.into_iter().for_each(|course| course.note(fate.clone()));
         }
         for (promise, progressed) in &kept.promises {
@@ -72,7 +72,7 @@ impl Mission {
         mission.phase = Phase::Performing;
         mission.stop_those_left_out(kept, now);
         // The leases have been running out since the other process died.
-        mission.next_round = Some(now);
+        mission.timers.next_round = Some(now);
         Ok(mission)
     }
 
@@ -102,14 +102,15 @@ impl Mission {
             self.list(report);
             listed += 1;
         }
-        self.reports_omitted += (count as usize).saturating_sub(listed);
+        self.course.reports_omitted += (count as usize).saturating_sub(listed);
         // One of the acts that are not listed may be the one with the fixed start.
-        self.start_was_fixed |= self.reports_omitted > 0;
+        self.course.start_was_fixed |= self.course.reports_omitted > 0;
     }
 
     /// Notes that an act has begun. A start that the operator fixes applies only to the first start of that act.
     fn note_begun(&mut self, act: Option<ActIndex>) {
-        self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
+        self.course.start_was_fixed |=
+            act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
 
     fn indices(&self) -> HashMap<RobotId, RobotIndex> {
@@ -132,10 +133,10 @@ impl Mission {
                 Standing::In if !is_member => {
                     // Otherwise the mission would not have begun without the robot.
                     self.options.join = Join::NextAct;
-                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::Absent, true, true);
+                    (robot.standing, robot.joined_late, robot.pose.unplaced) = (Standing::Absent, true, true);
                 }
                 Standing::Absent if is_member => {
-                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::In, false, false);
+                    (robot.standing, robot.joined_late, robot.pose.unplaced) = (Standing::In, false, false);
                 }
                 _ => {}
             }
@@ -162,7 +163,7 @@ impl Mission {
     /// Asks a robot that the previous process left out, and that has confirmed its stop, which steps it played.
     pub(super) fn ask_how_far_it_came(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
-        let is_out = state.standing == Standing::Out && matches!(state.stop, Stop::Confirmed(_));
+        let is_out = state.standing == Standing::Out && matches!(state.halt.stop, Stop::Confirmed(_));
         if is_out && state.takes_inquiries() {
             let named: Vec<_> = self.acts.iter().filter_map(|act| act.unheard_of(robot)).collect();
             if !named.is_empty() {
@@ -176,12 +177,12 @@ impl Mission {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
         let Some(left) = left.robots.get(&robot.id) else { return };
-        robot.touched.clone_from(&left.devices);
+        robot.halt.touched.clone_from(&left.devices);
         robot.shift = left.shift;
-        robot.left =
+        robot.halt.left =
             left.leases.iter().map(|lease| lease.map(|lease| renewed_until + lease.span())).collect();
-        if robot.left.is_empty() {
-            robot.left.push(Some(renewed_until));
+        if robot.halt.left.is_empty() {
+            robot.halt.left.push(Some(renewed_until));
         }
     }
 
@@ -204,13 +205,13 @@ impl Mission {
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in mission.robots.indices() {
             if let Some(own_id) = left.own_ids.get(&mission.robots[robot].id) {
-                mission.robots[robot].own_id.clone_from(own_id);
+                mission.robots[robot].identity.own_id.clone_from(own_id);
             }
             mission.holds_still(robot, left, now);
         }
         mission.note_failures_of(&left.failures);
-        mission.moved_before = left.moved;
-        mission.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
+        mission.course.moved_before = left.moved;
+        mission.conclusion.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
         mission.abort_because(now, (outcome, reason), rest, None);
         mission
     }
@@ -243,7 +244,7 @@ impl Mission {
         for (robot, id, script) in act.all_names() {
             let robot = &mut self.robots[robot];
             robot.requests.add_script(id, script);
-            robot.touched.insert(act.script(script).plan.device.clone());
+            robot.halt.touched.insert(act.script(script).plan.device.clone());
         }
         for member in act.members() {
             let robot = &mut self.robots[member.robot];
@@ -256,7 +257,7 @@ impl Mission {
         if !act.is_committed() {
             act.decided().into_iter().for_each(|decided| self.tell(decided));
         }
-        self.acts_begun = self.acts_begun.max(promise.number.get() + 1);
+        self.course.begun = self.course.begun.max(promise.number.get() + 1);
         self.acts.push(act);
         Ok(())
     }

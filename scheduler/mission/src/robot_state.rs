@@ -2,7 +2,7 @@
 
 mod invariants;
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 use urrcp::{
@@ -13,11 +13,14 @@ use urrcp::{
 use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
-use super::latency::LatencyDiffers;
+use super::greet::Greeted;
+use super::identity::Identity;
 use super::open_requests::OpenRequests;
+use super::poses::Pose;
 use super::requests::may_be_for_a_stop;
 use super::script::{Script, ScriptRef};
 use super::seize::Ownership;
+use super::stop::Halt;
 use super::{ActNumber, ClockMode, IndexVec, Loss, MissionSettings, Participant, RobotIndex};
 use crate::clock::{ClockEstimate, ClockReading};
 
@@ -234,89 +237,55 @@ impl Questions {
 /// The robots of a mission.
 pub(crate) type Robots = IndexVec<RobotIndex, RobotState>;
 
-/// One robot of the mission.
+/// One robot of the mission. Its parts belong to the files that handle them.
 #[derive(Debug)]
 pub(crate) struct RobotState {
     pub(crate) id: RobotId,
-    /// The id with which the robot must identify itself.
-    pub(crate) own_id: RobotId,
-    /// Whether the robot and this mission have proven their identities to each other.
-    pub(crate) proven: bool,
-    /// The expiry of the robot's certificate, if it has presented one.
-    pub(crate) certified_until: Option<Timestamp<Server>>,
-    /// Whether another authority replaces the one that issued the robot's certificate.
-    pub(crate) is_of_replaced_authority: bool,
-    /// The session to which the robot belongs, as known during the greeting.
-    pub(crate) ownership: Ownership,
+    /// The robot's settings in the fleet file.
+    pub(crate) settings: MissionSettings,
+    pub(crate) in_process: bool,
+    pub(crate) block: Option<InitializationBlock>,
+    pub(crate) standing: Standing,
+    /// Whether the robot joined after the mission had begun.
+    pub(crate) joined_late: bool,
+    /// Whether the robot was missing when an act in which it has a part was sent.
+    pub(crate) has_missed_an_act: bool,
+    /// Whether the fate of a script of the robot in an ended act is unknown.
+    pub(crate) was_lost_sight_of: bool,
     pub(crate) link: Link,
     /// The time at which the newest link was made, if an earlier one had broken.
     relinked_at: Option<Timestamp<Server>>,
     /// Number of attempts to reach the robot since its last message.
     attempts: u32,
-    pub(crate) standing: Standing,
-    /// Whether the robot joined after the mission had begun.
-    pub(crate) joined_late: bool,
-    /// Whether the robot's devices may no longer be where the greeting found them, because the robot joined late or is on a new link.
-    pub(crate) unplaced: bool,
-    /// Devices that a stop has left at positions that the next act with these devices may not expect.
-    pub(crate) adrift: BTreeSet<DeviceId>,
-    /// The last request for positions before an act, on the current link.
-    pub(crate) positions_asked: Option<PositionsAsked>,
-    /// Whether the robot was missing when an act in which it has a part was sent.
-    pub(crate) has_missed_an_act: bool,
-    pub(crate) block: Option<InitializationBlock>,
-    /// Whether the robot itself has sent its initialization block (its description) in this mission.
-    pub(crate) introduced: bool,
-    /// The latencies that the robot declares, if they differ from the compensated ones.
-    pub(crate) latency_differs: Option<LatencyDiffers>,
-    /// The robot's settings in the fleet file.
-    pub(crate) settings: MissionSettings,
-    pub(crate) in_process: bool,
     /// The offset last added to a timestamp to convert it to the robot's clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
+    pub(crate) identity: Identity,
+    pub(crate) greeted: Greeted,
+    pub(crate) pose: Pose,
+    pub(crate) contact: Contact,
+    pub(crate) halt: Halt,
+    /// The requests that were sent to the robot and whose answers are expected.
+    pub(crate) requests: OpenRequests,
+    pub(crate) failures: Failures,
+    pub(crate) totals: Totals,
+}
+
+/// The questions to the robot, and the times at which messages were exchanged.
+#[derive(Debug, Default)]
+pub(crate) struct Contact {
     pub(crate) questions: Questions,
+    /// The open questions to which the robot's answers may belong.
+    pub(crate) exchanges: Exchanges,
     /// The time of the last report to the operator about the robot's own status.
     pub(crate) told_at: Option<Timestamp<Server>>,
     /// The time of the last message from the robot.
     heard_at: Option<Timestamp<Server>>,
     /// The time, by the robot's own clock, at which it received the newest question that it has answered.
     reached_at: Option<Timestamp<Robot>>,
-    /// The readings that `settings.require` requires, in the order of these requirements.
-    pub(crate) readings: Vec<Option<f64>>,
-    /// The positions of devices before the first act, as their sensors read them.
-    pub(crate) positions: Vec<(DeviceId, f64)>,
-    /// The commanded positions of devices before the first act, as reported by the robot.
-    pub(crate) commanded: BTreeMap<DeviceId, f64>,
-    /// Number of pending answers about commanded positions.
-    pub(crate) positions_owed: usize,
-    /// Readings of the robot's other sensors, which are only displayed.
-    pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
-    /// The reason why a device gave no reading, in the robot's words.
-    pub(crate) unread: BTreeMap<DeviceId, String>,
-    /// The requests that were sent to the robot and whose answers are expected.
-    pub(crate) requests: OpenRequests,
-    /// Devices to which this mission has sent anything that moves them.
-    pub(crate) touched: BTreeSet<DeviceId>,
-    /// Whether the robot has confirmed its stop and has since been sent nothing that moves it.
-    pub(crate) at_rest: bool,
-    pub(crate) stop: Stop,
-    /// Whether the mission has reported that the robot has confirmed its stop.
-    pub(crate) rest_reported: bool,
-    /// Set once the robot's current process has lost a script that an earlier process may still run. Contains the end of the script's
-    /// lease, or `Some(None)` if the script has no lease.
-    pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
-    /// The ends of the leases of the requests that the robot still held at the end of an act; `None` for a request without a lease.
-    pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
     /// The time of the last message to the robot other than a question.
     spoken_at: Option<Timestamp<Server>>,
-    pub(crate) failures: Failures,
-    /// The open questions to which the robot's answers may belong.
-    pub(crate) exchanges: Exchanges,
-    pub(crate) totals: Totals,
-    /// Whether the fate of a script of the robot in an ended act is unknown.
-    pub(crate) was_lost_sight_of: bool,
 }
 
 /// The pause before the second attempt to reconnect to a robot, doubled with every attempt. The first attempt is immediate.
@@ -325,65 +294,30 @@ const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
 /// The longest time for which a message may still be under way after a later question has overtaken it.
 const UNDER_WAY: Span = Span::from_millis(1_000);
 
-/// A request for the positions of a robot's devices before an act.
-#[derive(Clone, Debug)]
-pub(crate) struct PositionsAsked {
-    pub(crate) act: ActNumber,
-    pub(crate) at: Timestamp<Server>,
-    /// The time of the first request for positions before this act.
-    pub(crate) since: Timestamp<Server>,
-    /// The positions of adrift devices in the previous answer.
-    pub(crate) before: BTreeMap<DeviceId, f64>,
-}
-
 impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
-            own_id: participant.own_id().clone(),
-            proven: false,
-            certified_until: None,
-            is_of_replaced_authority: false,
-            ownership: Ownership::default(),
+            identity: Identity::new(participant.own_id().clone()),
+            greeted: Greeted::new(&participant.settings),
             id: participant.id,
+            settings: participant.settings,
+            in_process: participant.in_process,
+            block: participant.block,
+            standing: Standing::In,
+            joined_late: false,
+            has_missed_an_act: false,
+            was_lost_sight_of: false,
             link: Link::Connecting,
             relinked_at: None,
             attempts: 0,
-            standing: Standing::In,
-            joined_late: false,
-            unplaced: false,
-            adrift: BTreeSet::new(),
-            positions_asked: None,
-            has_missed_an_act: false,
-            block: participant.block,
-            introduced: false,
-            latency_differs: None,
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
-            questions: Questions::default(),
-            told_at: None,
-            heard_at: None,
-            reached_at: None,
-            readings: vec![None; participant.settings.require.len()],
-            settings: participant.settings,
-            in_process: participant.in_process,
-            positions: Vec::new(),
-            commanded: BTreeMap::new(),
-            positions_owed: 0,
-            shown: Vec::new(),
-            unread: BTreeMap::new(),
+            pose: Pose::default(),
+            contact: Contact::default(),
+            halt: Halt::default(),
             requests: OpenRequests::default(),
-            touched: BTreeSet::new(),
-            at_rest: false,
-            stop: Stop::None,
-            rest_reported: false,
-            elsewhere: None,
-            left: Vec::new(),
-            last_sent: None,
-            spoken_at: None,
             failures: Failures::default(),
-            exchanges: Exchanges::default(),
             totals: Totals::default(),
-            was_lost_sight_of: false,
         }
     }
 
@@ -415,7 +349,7 @@ impl RobotState {
     /// Notes a message from the robot. Returns whether it is the first message since the robot's link was lost.
     pub(crate) fn heard(&mut self, now: Timestamp<Server>) -> bool {
         self.attempts = 0;
-        self.heard_at = Some(now);
+        self.contact.heard_at = Some(now);
         match &mut self.link {
             Link::Up { unheard } => unheard.take().is_some(),
             Link::Connecting | Link::Unnamed { .. } | Link::Lost(_) => false,
@@ -424,16 +358,16 @@ impl RobotState {
 
     /// Notes that a question reached the robot at `at` by its own clock. Returns the previous such time, unless that was later.
     pub(crate) fn reached(&mut self, at: Timestamp<Robot>) -> Option<Timestamp<Robot>> {
-        let before = self.reached_at;
-        self.reached_at = before.max(Some(at));
+        let before = self.contact.reached_at;
+        self.contact.reached_at = before.max(Some(at));
         before.filter(|before| *before < at)
     }
 
     /// Notes that a message is sent to the robot.
     pub(crate) fn is_sent(&mut self, now: Timestamp<Server>, message: &Message) {
-        self.last_sent = Some(now);
+        self.contact.last_sent = Some(now);
         if let Message::ControlRequest(_) = message {
-            self.spoken_at = Some(now);
+            self.contact.spoken_at = Some(now);
         }
     }
 
@@ -444,12 +378,12 @@ impl RobotState {
         (before, at): (Timestamp<Robot>, Timestamp<Robot>),
     ) -> bool {
         let (before, at) = (self.said_at(now, before), self.said_at(now, at));
-        self.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)
+        self.contact.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)
     }
 
     /// Notes that the robot's clock was set. Times by that clock from before and after cannot be compared.
     pub(crate) fn clock_was_set(&mut self) {
-        self.reached_at = None;
+        self.contact.reached_at = None;
     }
 
     /// Notes a connection to the robot's address. The robot that answers must first identify itself.
@@ -457,17 +391,17 @@ impl RobotState {
         let unheard = self.lost_mut().cloned();
         self.relinked_at = unheard.as_ref().map(|_| now);
         self.link = Link::Unnamed { since: now, unheard };
-        self.questions.forgive();
-        self.exchanges.begin_again();
+        self.contact.questions.forgive();
+        self.contact.exchanges.begin_again();
         self.requests.clear_readings();
-        self.positions_asked = None;
+        self.pose.asked = None;
     }
 
     /// The time at which the robot's current link was made, if the clock was measured only on an earlier link. The robot may now be a new
     /// process with a different clock. `None` once the robot has answered on the current link.
     pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
-        let answered = self.questions.answered();
+        let answered = self.contact.questions.answered();
         self.relinked_at.filter(|at| stands && self.clock.samples() > 0 && answered < Some(*at))
     }
 
@@ -513,10 +447,10 @@ impl RobotState {
     /// The time at which the robot's silence becomes a failure: it owes an answer, and `bound` has elapsed since its last message. `None`
     /// if it owes no answer.
     pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
-        let asked = self.questions.unanswered().or(self.owes_its_name_since())?;
+        let asked = self.contact.questions.unanswered().or(self.owes_its_name_since())?;
         // After a delay of this machine, a question must have had its time.
         let answerable = asked + bound * 2 / 3;
-        Some(self.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))
+        Some(self.contact.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))
     }
 
     /// The cause of the link's loss, unless a message from the robot has arrived since.
@@ -553,7 +487,7 @@ impl RobotState {
 
     /// Whether the robot belongs to another session and is to be taken over from that session.
     pub(crate) const fn is_of_another(&self) -> bool {
-        matches!(self.ownership, Ownership::OfAnother(_))
+        matches!(self.identity.ownership, Ownership::OfAnother(_))
     }
 
     /// The reading of the robot's clock at an instant; `None` if the clock was not measured.
@@ -602,23 +536,23 @@ impl RobotState {
     pub(crate) fn plays_again(&mut self) {
         if self.standing != Standing::Out {
             self.set_stop(Stop::None);
-            self.at_rest = true;
-            self.left.clear();
+            self.halt.at_rest = true;
+            self.halt.left.clear();
         }
     }
 
     pub(crate) const fn stop_was_sent(&self) -> bool {
-        !matches!(self.stop, Stop::None)
+        !matches!(self.halt.stop, Stop::None)
     }
 
     /// Whether a stop is pending: sent, not confirmed, and not given up.
     pub(crate) const fn awaits_stop(&self) -> bool {
-        matches!(self.stop, Stop::Sent(SentStop { given_up: false, .. }))
+        matches!(self.halt.stop, Stop::Sent(SentStop { given_up: false, .. }))
     }
 
     /// Whether the robot has refused its stop because it belongs to another session, and the mission leaves it to that session.
     pub(crate) const fn is_left_to_others(&self) -> bool {
-        matches!(self.stop, Stop::Sent(SentStop { given_up: true, .. }))
+        matches!(self.halt.stop, Stop::Sent(SentStop { given_up: true, .. }))
     }
 
     /// Whether a message of the robot could not be read.
@@ -628,9 +562,9 @@ impl RobotState {
 
     /// Whether the robot was stopped with a kind of rest other than `rest`.
     pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
-        match &self.stop {
+        match &self.halt.stop {
             // An earlier stop brought the robot to rest.
-            Stop::None => rest == Rest::Home && !self.touched.is_empty(),
+            Stop::None => rest == Rest::Home && !self.halt.touched.is_empty(),
             Stop::Sent(sent) => sent.rest != rest,
             Stop::Confirmed(confirmed) => *confirmed != rest,
         }
@@ -639,10 +573,10 @@ impl RobotState {
     /// Whether nothing that this mission sent can still move the robot: it was sent nothing, or it has confirmed its stop. A process that
     /// replaced an earlier process of the robot cannot confirm the stop of the earlier one.
     pub(crate) fn is_settled(&self) -> bool {
-        match self.stop {
+        match self.halt.stop {
             Stop::None => self.holds_nothing(),
             Stop::Sent(_) => false,
-            Stop::Confirmed(_) => self.elsewhere.is_none(),
+            Stop::Confirmed(_) => self.halt.elsewhere.is_none(),
         }
     }
 
@@ -650,26 +584,26 @@ impl RobotState {
     /// ended.
     pub(crate) fn may_move_at(&self, now: Timestamp<Server>) -> bool {
         let ended = |lease: &Option<Timestamp<Server>>| lease.is_some_and(|ends| ends <= now);
-        let rests = !self.left.is_empty() && self.left.iter().all(ended);
+        let rests = !self.halt.left.is_empty() && self.halt.left.iter().all(ended);
         !self.is_settled() && !self.is_gone() && !rests
     }
 
     /// Whether the robot was sent nothing that moves it, at least since it confirmed a stop.
     pub(crate) fn holds_nothing(&self) -> bool {
-        self.touched.is_empty() || self.at_rest
+        self.halt.touched.is_empty() || self.halt.at_rest
     }
 
     /// Notes that the robot's current process has lost a script. An earlier process may run that script until its lease ends at `until`;
     /// `None` if it has no lease.
     pub(super) fn runs_elsewhere(&mut self, until: Option<Timestamp<Server>>) {
-        let before = self.elsewhere.unwrap_or(until);
-        self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
+        let before = self.halt.elsewhere.unwrap_or(until);
+        self.halt.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
     /// Replaces the state of the robot's stop. The requests of the previous stop no longer count.
     pub(crate) fn set_stop(&mut self, stop: Stop) {
         self.requests.remove_all_stops();
-        self.stop = stop;
+        self.halt.stop = stop;
     }
 
     /// Returns the id of the stop that a response without an id confirms; `None` if it does not confirm a stop. It does so only if it
@@ -680,7 +614,7 @@ impl RobotState {
         response: &ControlResponse,
         open: Option<ScriptRef>,
     ) -> Option<RequestId> {
-        let Stop::Sent(sent) = &self.stop else { return None };
+        let Stop::Sent(sent) = &self.halt.stop else { return None };
         // An acceptance confirms only a future action, and without an id possibly that of a script.
         let confirms = response.status == Status::Ok && may_be_for_a_stop(response);
         let is_meant = confirms && open.is_none() && self.said_at(now, response.timestamp) >= sent.at;
@@ -690,7 +624,7 @@ impl RobotState {
 
     /// Processes the answer to the stop of one device. Only `OK` confirms the stop.
     pub(crate) fn stop_answered(&mut self, id: &RequestId, response: &ControlResponse) {
-        let Stop::Sent(sent) = &mut self.stop else { return };
+        let Stop::Sent(sent) = &mut self.halt.stop else { return };
         let busy = response.error.as_ref().filter(|error| error.code == ErrorCode::Busy);
         if let Some(error) = busy.filter(|_| response.status == Status::Failed) {
             sent.taken_over.get_or_insert_with(|| error.clone());
@@ -699,7 +633,7 @@ impl RobotState {
         if response.status == Status::Ok {
             self.requests.remove_stop(id);
             if self.requests.stops().next().is_none() {
-                self.stop = Stop::Confirmed(rest);
+                self.halt.stop = Stop::Confirmed(rest);
             }
         }
     }

@@ -18,7 +18,7 @@ use super::{Greeting, Mission, Phase, Progress, RobotIndex, error_of_status};
 use crate::clock::ClockSample;
 
 /// Interval between two rounds of questions if no lease requires a shorter one.
-const KEEP_ALIVE: Span = Span::from_millis(1_000);
+pub(super) const KEEP_ALIVE: Span = Span::from_millis(1_000);
 /// The maximum time for which a robot may owe an answer, if it has no lease that limits it.
 pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// The minimum interval between two reports to the operator about a robot's own status.
@@ -30,20 +30,34 @@ const LOOK_AGAIN: Span = Span::from_millis(1);
 /// The minimum interval between two checks for silent robots, per robot of the fleet: 10 ms for 10,000 robots.
 const LOOK_A_ROBOT: Span = Span::from_micros(1);
 
+/// The times of the next checks of a mission; `None` for a check that is not scheduled.
+#[derive(Debug, Default)]
+pub(super) struct Timers {
+    pub(super) next_round: Option<Timestamp<Server>>,
+    /// The time of the next check whether a robot has been silent for too long.
+    pub(super) next_silence: Option<Timestamp<Server>>,
+    /// The time of the next check whether a robot has not identified itself.
+    pub(super) next_name: Option<Timestamp<Server>>,
+    /// The earliest time at which the mission gives up a robot whose link is lost.
+    pub(super) give_up: Option<Timestamp<Server>>,
+    /// The time at which stops were last sent; `None` if none was.
+    pub(super) stopped_at: Option<Timestamp<Server>>,
+}
+
 impl Mission {
     /// Asks all robots when the next round is due. The round is slightly delayed if it would disturb robots that start.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
-        if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
+        if now < *self.timers.next_round.get_or_insert(now + KEEP_ALIVE) {
             return;
         }
         let may_be_sent = self.acts.iter().map(|act| act.out_of_quiet(now)).max();
         if let Some(at) = may_be_sent.filter(|at| *at > now && *at - now <= self.round_interval() / 4) {
-            self.next_round = Some(at);
+            self.timers.next_round = Some(at);
             return;
         }
         self.renew_all(now);
-        self.next_round = Some(now + self.round_interval());
-        self.next_silence = self.silence_due(now);
+        self.timers.next_round = Some(now + self.round_interval());
+        self.timers.next_silence = self.silence_due(now);
     }
 
     fn renew_all(&mut self, now: Timestamp<Server>) {
@@ -69,7 +83,7 @@ impl Mission {
 
     /// Whether an act that approaches its start asks the robot itself. To save bandwidth, the robot is not asked twice.
     fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: RobotIndex) -> bool {
-        let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
+        let asked = self.robots[robot].contact.questions.last_asked().is_some_and(|at| at > lately);
         asked && self.acts.iter().any(|act| act.approaches(robot))
     }
 
@@ -81,15 +95,15 @@ impl Mission {
     /// Schedules the next round early enough for a message that is sent under this lease.
     pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
         let next = now + interval_for(lease);
-        self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
+        self.timers.next_round = Some(self.timers.next_round.map_or(next, |at| at.min(next)));
     }
 
     /// Detects a delay of this machine. Robots that could not answer during the delay are not treated as silent.
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
-        if self.next_round.is_some_and(|due| now > due + HELD_UP) {
-            self.rounds_held_up += 1;
-            self.robots.iter_mut().for_each(|robot| robot.questions.forgive());
-            self.next_silence = None;
+        if self.timers.next_round.is_some_and(|due| now > due + HELD_UP) {
+            self.machine.rounds_held_up += 1;
+            self.robots.iter_mut().for_each(|robot| robot.contact.questions.forgive());
+            self.timers.next_silence = None;
         }
     }
 
@@ -127,8 +141,8 @@ impl Mission {
             return;
         }
         let named = in_parts(named);
-        state.questions.asked(now);
-        state.exchanges.asked(now, named.len().max(1));
+        state.contact.questions.asked(now);
+        state.contact.exchanges.asked(now, named.len().max(1));
         let session = self.options.session_on_the_wire();
         if !state.takes_inquiries() {
             let request =
@@ -150,10 +164,10 @@ impl Mission {
     /// Asks a robot for its times and claims it for the session. This also renews all leases. If requested, takes the robot over from
     /// another session.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
-        self.robots[robot].questions.asked(now);
-        self.robots[robot].exchanges.asked(now, 1);
+        self.robots[robot].contact.questions.asked(now);
+        self.robots[robot].contact.exchanges.asked(now, 1);
         let session = self.options.session_on_the_wire();
-        let seize = self.robots[robot].ownership == Ownership::Seizing;
+        let seize = self.robots[robot].identity.ownership == Ownership::Seizing;
         let request = AvailabilityRequest { timestamp: Some(now), session, seize, revocation_list: None };
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
@@ -165,7 +179,7 @@ impl Mission {
         let owed = state.owes_its_times();
         let known = known && state.unmeasured_since().is_none();
         state.clock.add(sample);
-        state.questions.answer(sample.sent);
+        state.contact.questions.answer(sample.sent);
         let answered = owed && !state.owes_its_times();
         // A process that takes over a mission does not know by which clock the robot's scripts were sent.
         if state.clock.steps() > steps || state.clock.samples() == 1 {
@@ -219,7 +233,7 @@ impl Mission {
         }
         let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
         let state = &self.robots[robot];
-        let spoken = state.questions.passed_over() || state.was_spoken_to(now, (before, at));
+        let spoken = state.contact.questions.passed_over() || state.was_spoken_to(now, (before, at));
         let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, (before, at)));
         if let Some(kind) = ran_out.or_else(|| broke_off().filter(|_| !spoken)) {
             self.fail(now, robot, kind);
@@ -237,9 +251,9 @@ impl Mission {
             originate: response.originate_timestamp,
             received: response.receive_timestamp,
             answered: response.timestamp,
-            arrived: self.arrived,
+            arrived: self.outbox.arrived,
         };
-        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        let Some(sample) = self.robots[robot].contact.exchanges.answered(times) else { return };
         let asked_at = sample.sent;
         // The times are not used as a clock sample: the robot may belong to another session, and a robot with many devices sends several
         // answers at once.
@@ -254,8 +268,12 @@ impl Mission {
             let Some(script) = self.robots[robot].requests.script(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
             let was_lost = act.script(script).is_lost();
-            let noted =
-                act.reported(script, report, (asked_at, response.timestamp, self.arrived), &self.robots);
+            let noted = act.reported(
+                script,
+                report,
+                (asked_at, response.timestamp, self.outbox.arrived),
+                &self.robots,
+            );
             let elsewhere = act.runs_elsewhere(script, &self.robots[robot], now);
             elsewhere
                 .filter(|_| !was_lost)
@@ -278,7 +296,7 @@ impl Mission {
     pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
-        if self.phase == Phase::Performing && !known && state.questions.last_unanswered().is_none() {
+        if self.phase == Phase::Performing && !known && state.contact.questions.last_unanswered().is_none() {
             self.ask(now, robot);
         }
     }
@@ -286,10 +304,10 @@ impl Mission {
     /// Reports a robot's own status to the operator from time to time.
     fn tell_heard(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        if state.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
+        if state.contact.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
             return;
         }
-        state.told_at = Some(now);
+        state.contact.told_at = Some(now);
         self.tell_steps(robot);
     }
 
@@ -329,7 +347,7 @@ impl Mission {
 
     /// Fails robots that owe an answer for longer than their running lease, whatever the state of their link.
     pub(super) fn notice_silence(&mut self, now: Timestamp<Server>) {
-        if self.next_silence.is_none_or(|due| now < due) {
+        if self.timers.next_silence.is_none_or(|due| now < due) {
             return;
         }
         let silent = |robot: RobotIndex| {
@@ -345,7 +363,7 @@ impl Mission {
         // Each check inspects every robot. A large fleet whose scripts begin one after another is checked less often.
         let robots = i64::try_from(self.robots.len()).unwrap_or(i64::MAX);
         let pause = LOOK_AGAIN.max(LOOK_A_ROBOT * robots);
-        self.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
+        self.timers.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
     }
 }
 

@@ -219,6 +219,11 @@ impl Script {
         self.request_id.as_ref()
     }
 
+    /// The id of the script's first request, which is in the journal.
+    pub(crate) const fn promised_id(&self) -> Option<&RequestId> {
+        self.promised_id.as_ref()
+    }
+
     pub(crate) const fn content_hash(&self) -> ContentHash {
         self.content_hash
     }
@@ -411,7 +416,7 @@ impl Script {
     }
 
     /// Whether the script was sent, or another process may have sent it.
-    pub(super) const fn was_ever_sent(&self) -> bool {
+    pub(crate) const fn was_ever_sent(&self) -> bool {
         self.sent.is_some() || self.perhaps_sent
     }
 

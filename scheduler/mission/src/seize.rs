@@ -30,11 +30,11 @@ impl Mission {
         let is_to_be = self.options.seize
             && greeting
             && error.code == ErrorCode::Busy
-            && state.proven
+            && state.identity.proven
             && state.clock.samples() == 0
-            && matches!(state.ownership, Ownership::Asked | Ownership::OfAnother(_));
+            && matches!(state.identity.ownership, Ownership::Asked | Ownership::OfAnother(_));
         if is_to_be {
-            state.ownership = Ownership::OfAnother(error.clone());
+            state.identity.ownership = Ownership::OfAnother(error.clone());
         }
         is_to_be
     }
@@ -52,7 +52,7 @@ impl Mission {
         for robot in self.robots.indices() {
             if self.robots[robot].is_of_another() {
                 let state = &mut self.robots[robot];
-                state.ownership = Ownership::Seizing;
+                state.identity.ownership = Ownership::Seizing;
                 // The known positions are from when the robot belonged to the other session.
                 state.forget_positions();
                 self.ask_availability(now, robot);
@@ -64,7 +64,7 @@ impl Mission {
     /// Fails the robots that belong to other sessions, because the mission does not take them over.
     pub(super) fn leave_to_others(&mut self) {
         for robot in self.robots.indices() {
-            let ownership = &mut self.robots[robot].ownership;
+            let ownership = &mut self.robots[robot].identity.ownership;
             if let Ownership::OfAnother(error) = ownership {
                 let error = error.clone();
                 *ownership = Ownership::Asked;
@@ -76,15 +76,15 @@ impl Mission {
     /// Notes that a robot belongs to this mission. Its readings from before the takeover are discarded.
     pub(super) fn is_ours(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        match state.ownership {
+        match state.identity.ownership {
             Ownership::Seizing => {
-                state.ownership = Ownership::Seized;
+                state.identity.ownership = Ownership::Seized;
                 self.read_positions(now, robot);
                 self.ask_positions(now, robot);
             }
             // The robot has become free meanwhile.
             Ownership::OfAnother(_) => {
-                state.ownership = Ownership::Asked;
+                state.identity.ownership = Ownership::Asked;
                 self.ask_positions(now, robot);
             }
             Ownership::Asked | Ownership::Seized => {}
@@ -93,7 +93,7 @@ impl Mission {
 
     /// Whether a robot that was taken over is still moving to where the first keyframe expects it.
     pub(super) fn is_on_its_way(&self, robot: RobotIndex) -> bool {
-        self.robots[robot].ownership == Ownership::Seized && !self.misplaced(robot).is_empty()
+        self.robots[robot].identity.ownership == Ownership::Seized && !self.misplaced(robot).is_empty()
     }
 
     /// Reads the positions of a robot again that was taken over and is still moving.

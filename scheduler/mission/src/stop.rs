@@ -1,5 +1,7 @@
 //! Stops robots: every device to which anything was sent gets an empty script and comes to rest.
 
+use std::collections::BTreeSet;
+
 use downbeat_plan::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
@@ -12,23 +14,40 @@ use super::{ActIndex, Greeting, Mission, Outcome, Phase, Progress, RobotIndex, S
 /// Unconfirmed stops are repeated after this time or three round trips, whichever is longer.
 const STOP_AGAIN: Span = Span::from_millis(200);
 
+/// The devices of a robot that the mission has moved, and how they come to rest.
+#[derive(Debug, Default)]
+pub(crate) struct Halt {
+    /// Devices to which this mission has sent anything that moves them.
+    pub(crate) touched: BTreeSet<DeviceId>,
+    pub(crate) stop: Stop,
+    /// Whether the robot has confirmed its stop and has since been sent nothing that moves it.
+    pub(crate) at_rest: bool,
+    /// Whether the mission has reported that the robot has confirmed its stop.
+    pub(crate) rest_reported: bool,
+    /// Set once the robot's current process has lost a script that an earlier process may still run. Contains the end of the script's
+    /// lease, or `Some(None)` if the script has no lease.
+    pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
+    /// The ends of the leases of the requests that the robot still held at the end of an act; `None` for a request without a lease.
+    pub(crate) left: Vec<Option<Timestamp<Server>>>,
+}
+
 impl Mission {
     pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest, by: Option<String>) {
         if self.phase != Phase::Ended && by.is_some() {
-            self.because = by.as_ref().map(|by| format!("stopped by {by}"));
-            self.said_stop = by;
+            self.conclusion.because = by.as_ref().map(|by| format!("stopped by {by}"));
+            self.conclusion.said_stop = by;
         }
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
             Phase::Performing if rest == Rest::Home && self.is_on_its_way_home() => {}
             Phase::Performing => {
-                let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
+                let reason = self.conclusion.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
                 self.abort_because(now, (Outcome::Stopped, reason), rest, None);
             }
             // The planned continuation after the stop is cancelled.
             Phase::Stopping { .. } => {
-                self.then = None;
-                self.outcome = Some(Outcome::Stopped);
+                self.course.then = None;
+                self.conclusion.outcome = Some(Outcome::Stopped);
                 let rest = self.rest_first(rest);
                 self.stop_otherwise(now, rest);
             }
@@ -53,7 +72,7 @@ impl Mission {
             self.robots[robot].set_stop(Stop::None);
             self.stop_robot(now, robot, rest);
         }
-        let by = self.said_stop.clone();
+        let by = self.conclusion.said_stop.clone();
         self.record(Record::Stopping { outcome: Outcome::Stopped, rest, by });
     }
 
@@ -63,10 +82,10 @@ impl Mission {
 
     /// If the outcome states that nothing was sent or started, replaces it with `Failed` and keeps its reason.
     pub(super) fn admit_that_it_moved(&mut self) {
-        if let Some(denial) = self.outcome.take_if(|outcome| outcome.denies_any_start()) {
+        if let Some(denial) = self.conclusion.outcome.take_if(|outcome| outcome.denies_any_start()) {
             let reason = (denial != Outcome::NotStarted).then(|| denial.to_string());
-            self.because = denial.hold_up().or(reason).or_else(|| self.because.take());
-            self.outcome = Some(Outcome::Failed);
+            self.conclusion.because = denial.hold_up().or(reason).or_else(|| self.conclusion.because.take());
+            self.conclusion.outcome = Some(Outcome::Failed);
         }
     }
 
@@ -78,7 +97,7 @@ impl Mission {
             Phase::Greeting { .. } => self.refuse(outcome),
             Phase::Performing => self.abort(now, outcome, Rest::InPlace, None),
             Phase::Stopping { .. } => {
-                self.then = None;
+                self.course.then = None;
                 self.stays();
             }
             Phase::Ended => {}
@@ -109,22 +128,22 @@ impl Mission {
         let rest = self.rest_first(rest);
         let reason = self.with_home(reason);
         self.tell(Progress::Stopping { reason, rest });
-        self.then = then;
+        self.course.then = then;
         if let Some(act) = then.filter(|_| self.again.is_none()) {
             self.approaches(act);
         }
-        self.next_round = None;
-        self.next_silence = None;
-        self.deferred.clear();
+        self.timers.next_round = None;
+        self.timers.next_silence = None;
+        self.outbox.deferred.clear();
         let by = if outcome == Outcome::Stopped { StoppedBy::Operator } else { StoppedBy::Failure };
         self.phase = self.stopping_from(now, by);
         for robot in self.robots.indices() {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing. It is therefore sent first and recorded afterwards.
-        let by = self.said_stop.clone();
+        let by = self.conclusion.said_stop.clone();
         self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
-        self.outcome = Some(outcome);
+        self.conclusion.outcome = Some(outcome);
         for robot in self.robots.indices() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
                 self.reconnect(robot);
@@ -137,24 +156,24 @@ impl Mission {
     pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: RobotIndex, rest: Rest) {
         let state = &mut self.robots[robot];
         // A robot at rest holds nothing that a stop would end, but it moves home if the operator requests it.
-        let needless = if rest == Rest::Home { state.touched.is_empty() } else { state.holds_nothing() };
+        let needless = if rest == Rest::Home { state.halt.touched.is_empty() } else { state.holds_nothing() };
         if needless || state.stop_was_sent() {
             return;
         }
-        self.stopped_at = self.stopped_at.max(Some(now));
+        self.timers.stopped_at = self.timers.stopped_at.max(Some(now));
         let session = self.options.names_begin();
         let named = |(index, device): (usize, &DeviceId)| {
             // This program generates session names, far below the limit.
             let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
             Some((id.ok()?, device.clone()))
         };
-        let stops: Vec<_> = state.touched.iter().enumerate().filter_map(named).collect();
+        let stops: Vec<_> = state.halt.touched.iter().enumerate().filter_map(named).collect();
         self.end_leases(now, robot);
         let state = &mut self.robots[robot];
         state.set_stop(Stop::Sent(SentStop { at: now, rest, taken_over: None, given_up: false }));
         stops.into_iter().for_each(|(id, device)| state.requests.add_stop(id, device));
-        state.at_rest = false;
-        state.rest_reported = false;
+        state.halt.at_rest = false;
+        state.halt.rest_reported = false;
         self.send_stops(now, robot);
     }
 
@@ -163,7 +182,7 @@ impl Mission {
     /// scripts.
     pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
-        if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
+        if !state.takes_inquiries() || state.stop_was_sent() || state.halt.touched.len() < 2 {
             return;
         }
         let ahead = state.clock_at(now).map(|reading| reading.offset);
@@ -175,8 +194,8 @@ impl Mission {
 
     fn send_stops(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &self.robots[robot];
-        let Stop::Sent(sent) = &state.stop else { return };
-        let stopped_at = self.stopped_at.unwrap_or(now);
+        let Stop::Sent(sent) = &state.halt.stop else { return };
+        let stopped_at = self.timers.stopped_at.unwrap_or(now);
         let request = |(id, device): (&RequestId, &DeviceId)| {
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());
@@ -215,8 +234,8 @@ impl Mission {
     /// earlier process may answer now.
     pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
         let state = &mut self.robots[robot];
-        let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
-        match state.stop {
+        let doubted = matches!(state.halt.stop, Stop::Confirmed(_)) && state.halt.elsewhere.is_some();
+        match state.halt.stop {
             Stop::Confirmed(rest) if doubted => {
                 state.set_stop(Stop::None);
                 self.stop_robot(now, robot, rest);
@@ -243,8 +262,8 @@ impl Mission {
             scripts.into_iter().any(|script| script.is_out())
         };
         // A robot that takes no inquiries sends its report before its next answer after its stop. Otherwise the report is lost.
-        let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
-        let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
+        let answered = |at| self.timers.stopped_at.is_some_and(|stopped| at > stopped);
+        let lost = !state.takes_inquiries() && state.contact.questions.answered().is_some_and(answered);
         let can = !state.is_garbled() && !state.is_left_to_others();
         state.tells_fates() && can && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
@@ -269,7 +288,7 @@ impl Mission {
             // A robot that still does not know the fate of a script is asked again after an interval, not at each answer.
             let lately = now - self.stop_interval();
             for robot in self.robots.indices() {
-                let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
+                let asked = self.robots[robot].contact.questions.last_asked().is_some_and(|at| at > lately);
                 if self.owes_a_fate(robot) && !asked {
                     self.inquire_now(now, robot);
                 }
@@ -288,13 +307,13 @@ impl Mission {
         }
         let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());
         let unknown = scripts.into_iter().any(|script| script.is_unaccounted());
-        if !begun && !unknown && self.outcome == Some(Outcome::Failed) {
-            self.outcome = Some(Outcome::NotStarted);
+        if !begun && !unknown && self.conclusion.outcome == Some(Outcome::Failed) {
+            self.conclusion.outcome = Some(Outcome::NotStarted);
         }
         self.phase = Phase::Ended;
         let confirmed = self.robots.iter().all(RobotState::is_settled);
         if self.goes_again(now, confirmed) {
-            self.then = None;
+            self.course.then = None;
             self.perform_again();
             return self.line_up_again(now);
         }
@@ -304,7 +323,7 @@ impl Mission {
         if self.begins_transfer(now, rests) {
             return;
         }
-        match self.then.take().filter(|_| rests) {
+        match self.course.then.take().filter(|_| rests) {
             Some(act) => {
                 self.continue_after_stop();
                 self.go_way(now, Way::Act(act.get()));
@@ -361,7 +380,7 @@ impl Mission {
                 return;
             }
             let over = |until: &mut Option<Timestamp<Server>>| until.is_some_and(|until| now >= until);
-            if self.robots[robot].elsewhere.take_if(over).is_some() {
+            if self.robots[robot].halt.elsewhere.take_if(over).is_some() {
                 self.report_rest(now, robot);
                 self.stop_progress(now);
             }
@@ -371,9 +390,9 @@ impl Mission {
     /// Reports the stop of a robot if all devices have confirmed it. If the robot has not reported the fate of a script, the
     /// mission asks first, because another process may have confirmed the stop.
     pub(super) fn stop_confirmed(&mut self, now: Timestamp<Server>, robot: RobotIndex) {
-        if matches!(self.robots[robot].stop, Stop::Confirmed(_))
+        if matches!(self.robots[robot].halt.stop, Stop::Confirmed(_))
             && self.owes_a_fate(robot)
-            && self.robots[robot].questions.last_unanswered().is_none()
+            && self.robots[robot].contact.questions.last_unanswered().is_none()
         {
             self.inquire_now(now, robot);
         }
@@ -391,7 +410,7 @@ impl Mission {
 
     fn may_report_rest(&self, robot: RobotIndex) -> bool {
         let state = &self.robots[robot];
-        matches!(state.stop, Stop::Confirmed(_)) && state.is_settled() && !state.rest_reported
+        matches!(state.halt.stop, Stop::Confirmed(_)) && state.is_settled() && !state.halt.rest_reported
     }
 
     /// Reports the robots that have confirmed their stop, even if they have not reported the fate of their scripts.
@@ -404,7 +423,7 @@ impl Mission {
     }
 
     fn tell_at_rest(&mut self, index: RobotIndex) {
-        self.robots[index].rest_reported = true;
+        self.robots[index].halt.rest_reported = true;
         self.tell_steps(index);
         let robot = self.robots[index].id.clone();
         self.tell(Progress::AtRest { robot: robot.clone() });

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use downbeat_fleet::sensor_range::SensorRange;
 use downbeat_plan::{Wait, Way};
-use urrcp::{DeviceId, ErrorCode, RequestId, Status};
+use urrcp::{DeviceId, ErrorCode, Message, RequestId, Span, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
@@ -150,9 +150,13 @@ fn with_rows(mut report: ActReport, rows: usize) -> ActReport {
 fn report_of_the_last_act_is_kept_whatever_its_size() {
     let (mut mission, act, report) = sent_act();
     mission.keep_report(&act, with_rows(report.clone(), 20_001));
-    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 0));
+    assert_eq!((mission.course.reports.len(), mission.course.reports_omitted), (1, 0));
     mission.keep_report(&act, report);
-    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 1), "the oldest is left out");
+    assert_eq!(
+        (mission.course.reports.len(), mission.course.reports_omitted),
+        (1, 1),
+        "the oldest is left out"
+    );
 }
 
 #[test]
@@ -160,9 +164,9 @@ fn reports_are_kept_up_to_twenty_thousand_rows() {
     let (mut mission, act, report) = sent_act();
     mission.keep_report(&act, with_rows(report.clone(), 19_999));
     mission.keep_report(&act, report.clone());
-    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 0));
+    assert_eq!((mission.course.reports.len(), mission.course.reports_omitted), (2, 0));
     mission.keep_report(&act, report);
-    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 1));
+    assert_eq!((mission.course.reports.len(), mission.course.reports_omitted), (2, 1));
 }
 
 #[test]
@@ -172,14 +176,14 @@ fn stopped_robot_with_waiting_script_rests_when_its_pending_lease_ends() {
     let member = &act.members()[MemberIndex::new(0)];
     let lease = act.timing().unwrap().lead.lease;
     let left = act.left_behind(member, 0, &mission.robots[R0], at(1));
-    assert_eq!(left, Some(Some(mission.robots[R0].last_sent.unwrap() + lease)));
+    assert_eq!(left, Some(Some(mission.robots[R0].contact.last_sent.unwrap() + lease)));
 }
 
 #[test]
 fn act_is_sent_later_than_the_preceding_stop() {
     for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
         let mut mission = begins_at_once(Everything);
-        mission.stopped_at = stopped;
+        mission.timers.stopped_at = stopped;
         let actions = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
         let script = |action: &Action| match action {
             Action::Send { message: Message::ControlRequest(request), .. } => request.timestamp,
@@ -200,7 +204,7 @@ fn required_sensor_passes_once_read_and_only_if_robots_are_greeted() {
         let mut mission = begins_at_once(Everything);
         let range = SensorRange::Above(50.0);
         mission.robots[R0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
-        mission.robots[R0].readings = readings;
+        mission.robots[R0].greeted.readings = readings;
         mission.options.greeting = greeting;
         let table = preflight::table(&mission, at(0));
         let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
@@ -227,6 +231,7 @@ fn unidentified_robot_is_asked_again_before_its_link_is_dropped() {
     assert!(mission.robots[R0].unnamed_since().is_some(), "it may still answer");
     assert!(
         mission
+            .outbox
             .actions
             .iter()
             .any(|action| matches!(action, Action::Send { message: Message::InitializationRequest(_), .. }))
@@ -266,14 +271,14 @@ fn robot_with_unanswered_measured_clock_fails_when_patience_ends() {
 fn robot_that_was_sent_nothing_gets_no_stop_and_others_get_only_one() {
     let mut mission = begins_at_once(Everything);
     mission.stop_robot(at(0), R0, Rest::InPlace);
-    assert!(!mission.robots[R0].stop_was_sent() && mission.stopped_at.is_none());
+    assert!(!mission.robots[R0].stop_was_sent() && mission.timers.stopped_at.is_none());
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     mission.stop_robot(at(1), R0, Rest::InPlace);
     mission.stop_robot(at(2), R0, Rest::Home);
     assert!(
-        matches!(&mission.robots[R0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
+        matches!(&mission.robots[R0].halt.stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
     );
-    assert_eq!(mission.stopped_at, Some(at(1)));
+    assert_eq!(mission.timers.stopped_at, Some(at(1)));
 }
 
 #[test]
@@ -308,7 +313,7 @@ fn stopping_mission_sends_no_pending_scripts() {
     assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
     let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
     mission.carry_out(at(2), ActNumber::new(0), vec![ActAction::Send(script)]);
-    assert_eq!(scripts_in(&mission.actions), []);
+    assert_eq!(scripts_in(&mission.outbox.actions), []);
 }
 
 #[test]
@@ -319,10 +324,10 @@ fn robot_with_unconfirmed_stop_is_sent_no_script_of_the_next_act() {
         if is_stopped {
             mission.stop_robot(at(1), R0, Rest::InPlace);
         }
-        mission.actions.clear();
+        mission.outbox.actions.clear();
         let script = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 };
         mission.carry_out(at(2), ActNumber::new(0), vec![ActAction::Send(script)]);
-        assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
+        assert_eq!(scripts_in(&mission.outbox.actions).len(), sends, "stopped: {is_stopped}");
     }
 }
 
@@ -338,10 +343,10 @@ fn deferred_script_is_not_sent_after_the_stop_of_its_robot() {
         if is_stopped {
             mission.stop_robot(at(1), R0, Rest::InPlace);
         }
-        mission.actions.clear();
-        mission.deferred = vec![(R0, script.unwrap())];
+        mission.outbox.actions.clear();
+        mission.outbox.deferred = vec![(R0, script.unwrap())];
         mission.send_deferred(at(2));
-        assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
+        assert_eq!(scripts_in(&mission.outbox.actions).len(), sends, "stopped: {is_stopped}");
     }
 }
 
@@ -366,7 +371,7 @@ fn act_with_no_robots_left_is_skipped() {
     mission.options.check_invariants = false;
     let actions = happens(&mut mission, at(0), Event::LinkUp { robot: R1 });
     assert_eq!(scripts_in(&actions).len(), 1, "`r1` has its script of the second act");
-    assert_eq!(mission.fates[ActIndex::new(0)].fate, ActFate::NobodyLeft);
+    assert_eq!(mission.course.fates[ActIndex::new(0)].fate, ActFate::NobodyLeft);
 }
 
 #[test]
@@ -375,7 +380,7 @@ fn starts_off_by_exactly_the_tolerance_are_in_tolerance() {
         let (mut mission, act, mut report) = sent_act();
         report.robots[0].devices[0].start_error = Some(error);
         mission.keep_report(&act, report);
-        assert_eq!(mission.flaw_of_times.is_some(), flawed, "{error}");
+        assert_eq!(mission.conclusion.flaw_of_times.is_some(), flawed, "{error}");
     }
 }
 
@@ -389,7 +394,7 @@ fn steps_late_by_the_tolerance_are_accepted_and_left_out_robots_ignored() {
         report.robots[0].devices[0].late_max = Some(late);
         mission.keep_report(&act, report);
         let expected = flawed.then_some(Outcome::StepsLate { late, tolerance: TOLERANCE });
-        assert_eq!(mission.flaw_of_times, expected, "{late}, left out: {left_out}");
+        assert_eq!(mission.conclusion.flaw_of_times, expected, "{late}, left out: {left_out}");
     }
 }
 
@@ -558,9 +563,9 @@ fn end_without_id_belongs_to_latest_begun_script_if_two_would_end_then() {
 fn next_round_is_later_than_the_one_just_done() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
-    mission.next_round = Some(at(5));
+    mission.timers.next_round = Some(at(5));
     mission.renew_if_due(at(5));
-    assert!(mission.next_round > Some(at(5)), "{:?}", mission.next_round);
+    assert!(mission.timers.next_round > Some(at(5)), "{:?}", mission.timers.next_round);
 }
 
 #[test]
@@ -568,9 +573,9 @@ fn robot_without_inquiries_owes_nothing_once_it_responds_after_its_stop() {
     for (answered, owes) in [(0, true), (1, true), (2, false)] {
         let mut mission = begins_at_once(Tells::Reports);
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
-        mission.stopped_at = Some(at(1));
-        mission.robots[R0].questions.asked(at(answered));
-        mission.robots[R0].questions.answer(at(answered));
+        mission.timers.stopped_at = Some(at(1));
+        mission.robots[R0].contact.questions.asked(at(answered));
+        mission.robots[R0].contact.questions.answer(at(answered));
         assert_eq!(mission.owes_a_fate(R0), owes, "answered {answered} ms after the beginning");
     }
 }
@@ -600,12 +605,12 @@ fn stops_of_two_devices_follow_an_inquiry_that_ends_both_leases() {
 fn first_round_is_not_due_immediately() {
     let mut mission = waits_in(0);
     let _waits = mission.handle(at(0), Event::LinkUp { robot: R0 });
-    mission.next_round = None;
-    let before = mission.actions.len();
+    mission.timers.next_round = None;
+    let before = mission.outbox.actions.len();
     mission.renew_if_due(at(1));
-    assert_eq!((mission.actions.len(), mission.next_round), (before, Some(at(1_001))));
+    assert_eq!((mission.outbox.actions.len(), mission.timers.next_round), (before, Some(at(1_001))));
     mission.renew_if_due(at(1_001));
-    assert!(mission.actions.len() > before, "the robot is asked");
+    assert!(mission.outbox.actions.len() > before, "the robot is asked");
 }
 
 #[test]
@@ -613,11 +618,14 @@ fn queued_act_is_replaced_by_the_act_a_failure_leads_to() {
     let mut mission = waits_in(1);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     mission.lead_elsewhere(ActIndex::new(0));
-    assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the current act continues");
+    assert_eq!((mission.acts.len(), mission.course.begun), (1, 1), "the current act continues");
     mission.line_up_act(at(1), ActIndex::new(1));
-    assert_eq!((mission.acts.len(), mission.acts_begun), (2, 2));
+    assert_eq!((mission.acts.len(), mission.course.begun), (2, 2));
     mission.lead_elsewhere(ActIndex::new(0));
-    assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(ActIndex::new(0))));
+    assert_eq!(
+        (mission.acts.len(), mission.course.begun, mission.course.detour),
+        (1, 1, Some(ActIndex::new(0)))
+    );
 }
 
 /// The time at which the script of [`sent_act`] that its robot still has is ended by a lease.
@@ -632,7 +640,7 @@ fn script_whose_pending_lease_reaches_its_start_uses_its_running_lease() {
     let timing = act.timing().unwrap();
     for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
         let last_sent = timing.start - timing.lead.lease - before;
-        mission.robots[R0].last_sent = Some(last_sent);
+        mission.robots[R0].contact.last_sent = Some(last_sent);
         assert_eq!(left_at(&mission, &act, at(1)), Some(Some(last_sent + ends_by)), "{before} before it");
     }
 }
@@ -644,7 +652,7 @@ fn running_script_ends_by_its_running_lease_from_the_last_message() {
     let started = act.timing().unwrap().start;
     let says = super::bench::response(&"a".parse().unwrap(), None, Status::Started, started);
     let _noted = act.answered(script, &says, started, &mission.robots);
-    mission.robots[R0].last_sent = Some(at(10));
+    mission.robots[R0].contact.last_sent = Some(at(10));
     let ends = at(10) + super::bench::RUNNING;
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends)));
     let there = by_robot(at(3));
@@ -731,7 +739,7 @@ fn mission_ends_at_the_act_limit_of_the_operator_or_the_process() {
     mission.bound_acts(3);
     mission.bound_acts(5);
     assert_eq!((mission.options.acts_max, mission.bound_reached()), (Some(3), None));
-    mission.bounded = true;
+    mission.course.bounded = true;
     assert_eq!(mission.bound_reached(), Some(3));
 }
 
@@ -754,15 +762,15 @@ fn mission_needs_a_participant_for_every_robot_of_its_acts() {
 fn greeting_wakes_for_its_next_sample_and_no_later_than_its_deadline() {
     let mut mission = begins_at_once(Everything);
     let deadline = at(0) + mission.options.patience;
-    mission.lateness = lateness::Lateness::new(at(3));
+    mission.machine.lateness = lateness::Lateness::new(at(3));
     assert_eq!(mission.next_wakeup(), Some(at(3)), "it measures how late it is called");
-    mission.lateness = lateness::Lateness::new(deadline + ms(1));
+    mission.machine.lateness = lateness::Lateness::new(deadline + ms(1));
     assert_eq!(mission.next_wakeup(), Some(deadline));
     for (next, wakes) in [(at(20), at(20)), (deadline + ms(1), deadline)] {
-        mission.sampling = Some((at(4_000), next));
+        mission.greeting.sampling = Some((at(4_000), next));
         assert_eq!(mission.next_wakeup(), Some(wakes));
     }
-    mission.next_name = Some(at(5));
+    mission.timers.next_name = Some(at(5));
     assert_eq!(mission.next_wakeup(), Some(at(5)));
     mission.phase = Phase::Ended;
     assert_eq!(mission.next_wakeup(), None);

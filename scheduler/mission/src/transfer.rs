@@ -165,7 +165,7 @@ impl Mission {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return false };
         let state = &self.robots[robot];
         let can = state.standing == Standing::In && state.takes_inquiries();
-        let devices = !state.touched.is_empty() || !self.first_devices(to, robot).is_empty();
+        let devices = !state.halt.touched.is_empty() || !self.first_devices(to, robot).is_empty();
         can && state.is_up() && state.is_settled() && devices
     }
 
@@ -181,10 +181,10 @@ impl Mission {
     fn left_adrift(&self, to: Destination, robot: RobotIndex) -> BTreeSet<DeviceId> {
         let state = &self.robots[robot];
         if !self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests) {
-            return &state.touched | &self.first_devices(to, robot);
+            return &state.halt.touched | &self.first_devices(to, robot);
         }
         match to {
-            Destination::Act(_) => &state.touched - &self.first_devices(to, robot),
+            Destination::Act(_) => &state.halt.touched - &self.first_devices(to, robot),
             Destination::Home => state.devices_without_home(),
         }
     }
@@ -228,7 +228,7 @@ impl Mission {
 
     /// The devices of a robot whose positions the transfer needs.
     fn devices_to_place(&self, to: Destination, robot: RobotIndex) -> BTreeSet<DeviceId> {
-        &self.robots[robot].touched | &self.first_devices(to, robot)
+        &self.robots[robot].halt.touched | &self.first_devices(to, robot)
     }
 
     /// Handles an answer of a robot. The robot's positions are valid once it has reported all of them. A robot may also report positions
@@ -237,10 +237,10 @@ impl Mission {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         let devices = self.devices_to_place(to, robot);
         let state = &self.robots[robot];
-        let Some(pose) = self.transfer.poses.get_mut(&robot).filter(|_| state.positions_owed == 0) else {
+        let Some(pose) = self.transfer.poses.get_mut(&robot).filter(|_| state.pose.owed == 0) else {
             return;
         };
-        let mut stated = state.commanded.clone();
+        let mut stated = state.pose.commanded.clone();
         stated.retain(|device, _| devices.contains(device));
         pose.rests = pose.stated.as_ref() == Some(&stated);
         pose.stated = Some(stated);
@@ -259,12 +259,12 @@ impl Mission {
         }
         let planned = self.plan_transfer(now, to, like);
         for robot in self.robots.indices() {
-            self.robots[robot].adrift = self.left_adrift(to, robot);
+            self.robots[robot].pose.adrift = self.left_adrift(to, robot);
         }
         match planned {
             Err(reason) => {
                 // The next act expects devices where the transfer would have moved them.
-                self.then = None;
+                self.course.then = None;
                 self.not_planned(to, reason);
                 false
             }
@@ -273,7 +273,7 @@ impl Mission {
                 if to == Destination::Home {
                     self.tell(Progress::AtHome);
                     self.transfer.there = self.transfer.poses.keys().copied().collect();
-                    if self.then.is_none() {
+                    if self.course.then.is_none() {
                         self.arrive_home();
                     }
                 }
@@ -308,7 +308,7 @@ impl Mission {
                 None => {}
             }
         }
-        let stays = self.robots.iter().find(|robot| !robot.touched.is_empty());
+        let stays = self.robots.iter().find(|robot| !robot.halt.touched.is_empty());
         if let Some(stays) = stays.filter(|_| from.is_empty() && to == Destination::Home) {
             return Err(format!("`{}` has failed or does not report its positions", stays.id));
         }
@@ -317,23 +317,23 @@ impl Mission {
 
     fn play_transfer(&mut self, now: Timestamp<Server>, to: Destination, mut act: Written) {
         let index = ActIndex::new(self.choreography.acts.len());
-        act.next = self.then.take().map_or(Way::End, |act| Way::Act(act.get()));
+        act.next = self.course.then.take().map_or(Way::End, |act| Way::Act(act.get()));
         let states = |robot: RobotIndex| self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests);
         let has_part = |robot: RobotIndex| match to {
-            Destination::Home => !self.robots[robot].touched.is_empty(),
+            Destination::Home => !self.robots[robot].halt.touched.is_empty(),
             Destination::Act(_) => !self.first_devices(to, robot).is_empty(),
         };
         let stay = self.robots.indices().filter(|robot| has_part(*robot) && !states(*robot));
         let without = stay.map(|robot| self.robots[robot].id.clone()).collect();
         // If no act follows, the confirmed stop of a robot that has nothing to move remains valid.
         let goes = |robot: &RobotState| act.plan.robots.iter().any(|planned| planned.robot == robot.id);
-        let rests = |robot: &RobotState| matches!(robot.stop, Stop::Confirmed(_)) && !goes(robot);
+        let rests = |robot: &RobotState| matches!(robot.halt.stop, Stop::Confirmed(_)) && !goes(robot);
         let ends = act.next == Way::End;
         let rest: Vec<_> =
             self.robots.indices().filter(|robot| ends && rests(&self.robots[*robot])).collect();
         let name = act.name.clone();
         self.transfer.note(to, TransferReport::Planned { act: name.clone(), without });
-        self.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
+        self.course.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
         Arc::make_mut(&mut self.choreography).acts.push(act);
         let choreography = Arc::clone(&self.choreography);
         let told = match to {
@@ -357,8 +357,8 @@ impl Mission {
 
     /// Continues the mission after a stop. Its outcome can no longer be `done`.
     pub(super) fn continue_after_stop(&mut self) {
-        let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
-        self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
+        let stopped = self.conclusion.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
+        self.conclusion.flawed = Some(stopped.unwrap_or(Outcome::Failed));
         self.perform_again();
     }
 
@@ -379,9 +379,9 @@ impl Mission {
     pub(super) fn arrive_home(&mut self) {
         for robot in std::mem::take(&mut self.transfer.there) {
             let state = &mut self.robots[robot];
-            if matches!(state.stop, Stop::None | Stop::Confirmed(_)) {
+            if matches!(state.halt.stop, Stop::None | Stop::Confirmed(_)) {
                 state.set_stop(Stop::Confirmed(Rest::Home));
-                state.rest_reported = true;
+                state.halt.rest_reported = true;
             }
         }
     }
@@ -390,9 +390,9 @@ impl Mission {
 impl RobotState {
     /// Notes the devices that a stop without a transfer has left at positions that the next act may not expect.
     fn is_left_adrift(&mut self) {
-        self.adrift = match self.stop {
+        self.pose.adrift = match self.halt.stop {
             Stop::Confirmed(Rest::Home) => self.devices_without_home(),
-            Stop::Confirmed(Rest::InPlace) | Stop::Sent(_) | Stop::None => self.touched.clone(),
+            Stop::Confirmed(Rest::InPlace) | Stop::Sent(_) | Stop::None => self.halt.touched.clone(),
         };
     }
 
@@ -400,6 +400,6 @@ impl RobotState {
     fn devices_without_home(&self) -> BTreeSet<DeviceId> {
         let described = |device: &DeviceId| self.block.as_ref()?.device(device.as_str());
         let has_home = |device: &DeviceId| described(device)?.default_value;
-        self.touched.iter().filter(|device| has_home(device).is_none()).cloned().collect()
+        self.halt.touched.iter().filter(|device| has_home(device).is_none()).cloned().collect()
     }
 }

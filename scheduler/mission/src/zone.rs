@@ -122,7 +122,13 @@ impl Zone {
     fn candidates(self, local: NaiveDateTime) -> [Timestamp<Server>; 2] {
         let as_utc = Timestamp::from_nanos(local.and_utc().timestamp_nanos_opt().unwrap_or(i64::MAX));
         let ahead = |at| Span::from_millis(i64::from((self.offset)(at).local_minus_utc()) * 1_000);
-        [as_utc - DAY, as_utc + DAY].map(|at| as_utc - ahead(at))
+        let candidates = [as_utc - DAY, as_utc + DAY].map(|at| as_utc - ahead(at));
+        let shows = |at: &Timestamp<Server>| self.local(*at).naive_local() == local;
+        debug_assert!(
+            candidates.iter().any(shows) || candidates[0] != candidates[1],
+            "clocks that do not show a time skip it between two offsets"
+        );
+        candidates
     }
 
     fn skipped(self, wanted: NaiveDateTime) -> SkippedTime {

@@ -40,7 +40,7 @@ pub(crate) struct Approach {
     /// up.
     wakeup: Timestamp<Server>,
     /// Sending times of the last two rounds of questions, the newer one last.
-    rounds: [Timestamp<Server>; 2],
+    pub(super) rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
     /// Number of leading members (robots of the act) that have answered one of the last two rounds of questions.
     heard: usize,
@@ -48,7 +48,7 @@ pub(crate) struct Approach {
     /// rounds; `None` if there was none.
     late_round: Option<Timestamp<Server>>,
     /// The time at which this process took over the act from the process that decided it; `None` if this process decided it.
-    taken_up: Option<Timestamp<Server>>,
+    pub(super) taken_up: Option<Timestamp<Server>>,
 }
 
 /// State of an act that is committed, but has not started on all robots.
@@ -404,5 +404,5 @@ impl Act {
 
 /// Whether a robot has answered a question that was sent at `since` or later. Also true for a robot that has never answered a question.
 fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
-    robot.questions.answered().is_none_or(|at| at >= since)
+    robot.contact.questions.answered().is_none_or(|at| at >= since)
 }

@@ -2,11 +2,18 @@
 
 use std::collections::BTreeSet;
 
+use urrcp::Span;
+
 use super::member::{Chain, Part};
-use super::{Act, Member, Promised, PromisedStage, Stage, Timing};
+use super::{Act, Member, Promised, PromisedStage, Stage};
 use crate::RobotIndex;
+use crate::again::AGAIN_MAX;
+use crate::invariants::holds;
 use crate::robot_state::{RobotState, Robots};
 use crate::script::Script;
+
+/// The shortest pending lease that the mission chooses itself.
+const LEASE_MIN: Span = Span::from_millis(240);
 
 impl Act {
     /// Panics if an invariant of the act does not hold.
@@ -14,7 +21,7 @@ impl Act {
         self.check_members(robots);
         self.check_stage();
         if let Some(timing) = self.timing() {
-            timing.check();
+            timing.check(&self.name());
         }
     }
 
@@ -32,6 +39,14 @@ impl Act {
             );
             member.check(&robots[member.robot]);
         }
+        let prescribed = self.written().plan.stop_condition.pending;
+        let lease = self.timing().filter(|_| prescribed.is_none()).map(|timing| timing.lead.lease);
+        holds!(
+            lease.is_none_or(|lease| lease >= LEASE_MIN),
+            name,
+            "6 round trips, at least 240 ms, + twice the lateness"
+        );
+        holds!(self.attempts <= AGAIN_MAX, name, "the mission prepares the act again, at most twice");
         assert!(
             self.readings_asked <= self.written().readings.len(),
             "{name}: an act requests at most the planned readings"
@@ -48,11 +63,19 @@ impl Act {
         match &self.stage {
             Stage::Waiting(_) | Stage::Ready { .. } => {
                 let untouched = |script: &Script| script.is_planned() && !script.was_ever_sent();
-                assert!(scripts().all(untouched), "{name}: before the promise, nothing is sent");
+                holds!(
+                    scripts().all(untouched),
+                    name,
+                    "Before the first request is sent, the journal on disk states what is promised to which robot."
+                );
             }
             Stage::Promised(Promised { stage: PromisedStage::Recording, .. }) => {
                 let unsent = |script: &Script| script.is_planned() && !script.was_ever_sent();
-                assert!(scripts().all(unsent), "{name}: nothing is sent before the promise is on the disk");
+                holds!(
+                    scripts().all(unsent),
+                    name,
+                    "Before the first request is sent, the journal on disk states what is promised to which robot."
+                );
             }
             Stage::Deserted | Stage::Promised(Promised { stage: PromisedStage::Deserted, .. }) => {
                 assert!(
@@ -64,8 +87,44 @@ impl Act {
                 let over = self.present().all(Member::is_over);
                 assert!(over, "{name}: an act is over once nothing of it can still run");
             }
-            Stage::Promised(_) => {}
+            Stage::Promised(Promised { stage: PromisedStage::Preparing(_), .. }) => self.check_order(),
+            Stage::Promised(Promised { stage: PromisedStage::Approaching(approach), .. }) => {
+                self.check_order();
+                assert!(approach.rounds.is_sorted(), "{name}: rounds follow each other");
+                if approach.taken_up.is_none() {
+                    self.check_acceptances();
+                }
+            }
+            Stage::Promised(Promised { stage: PromisedStage::Committed(_), .. }) => self.check_acceptances(),
+            Stage::Promised(Promised {
+                stage: PromisedStage::Playing(_) | PromisedStage::Lapsing(_),
+                ..
+            }) => {}
         }
+    }
+}
+
+impl Act {
+    /// Checks that no later script of a device was sent before the device accepted its first one.
+    fn check_order(&self) {
+        for member in self.present() {
+            let may_follow = |(index, script): (usize, &Script)| {
+                !script.is_out() || !script.is_of_this_process() || member.may_follow(index)
+            };
+            holds!(
+                member.scripts().iter().enumerate().all(may_follow),
+                self.name(),
+                "The second and later scripts of a device are sent once the first is accepted."
+            );
+        }
+    }
+
+    fn check_acceptances(&self) {
+        holds!(
+            self.present().flat_map(Member::firsts).all(Script::was_accepted),
+            self.name(),
+            "The act is decided as soon as every robot has accepted every script for which its devices have room"
+        );
     }
 }
 
@@ -95,9 +154,10 @@ impl Member {
                 "{id}: `{device}` has completed the scripts before `completed`"
             );
             let after = &self.scripts()[unsent..end];
-            assert!(
+            holds!(
                 after.iter().all(|script| script.first_sent_at().is_none()),
-                "{id}: `{device}` was sent no script from `unsent` on"
+                format_args!("{id}/{device}"),
+                "nothing overtakes a script that waits"
             );
             for (one, next) in scripts.iter().zip(scripts.iter().skip(1)) {
                 let ends = one.plan.start.span() + one.duration();
@@ -111,26 +171,5 @@ impl Member {
             self.asked_since <= self.asked || self.asked.is_none(),
             "{id}: the first question for a report precedes the last"
         );
-    }
-}
-
-impl Timing {
-    fn check(&self) {
-        assert!(self.timestamp <= self.decision, "requests are sent before the decision");
-        assert!(self.decision <= self.start, "an act is decided before it starts");
-        assert!(self.start <= self.end, "an act starts before it ends");
-        assert!(self.critical() <= self.brink(), "the critical instant is not after the brink");
-        assert!(self.brink() <= self.earliest_start(), "leases end before any robot starts");
-        assert!(self.earliest_start() <= self.start, "no robot is planned to start later than the plan");
-        assert!(self.begins() <= self.begun(), "the first robot starts no later than the last");
-        assert!(self.no_return() <= self.start, "after the start only stopping is possible");
-        assert!(self.no_return() <= self.last_withdrawal(), "a failure is known before the last withdrawal");
-        assert!(self.last_withdrawal() < self.start, "a withdrawal precedes the start");
-        assert!(self.lead.lease > urrcp::Span::ZERO, "scripts wait under a lease");
-        assert!(self.ask_again() <= self.decision, "requests are sent again before the decision");
-        assert!(self.doubt() >= urrcp::Span::ZERO, "the doubt is an interval");
-        if let Some((sent, answered)) = self.round {
-            assert!(sent <= answered, "the commitment is answered after it was sent");
-        }
     }
 }

@@ -296,7 +296,7 @@ impl Member {
     /// device. Later scripts cannot begin without the first ones, and may be sent until shortly before they begin. If a robot takes no
     /// inquiries about scripts, an answer to any other question suffices. If it has never given one, none is required.
     pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
-        let answered = robot.questions.answered();
+        let answered = robot.contact.questions.answered();
         if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
             return false;
         }

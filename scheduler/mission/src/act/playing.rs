@@ -644,7 +644,7 @@ fn may_be_asked(
     (again, grace): (Span, Span),
 ) -> bool {
     let Some(asked) = asked else { return true };
-    let owed = robot.questions.unanswered().is_some_and(|open| open <= asked);
+    let owed = robot.contact.questions.unanswered().is_some_and(|open| open <= asked);
     due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
 }
 
@@ -657,7 +657,7 @@ fn was_asked(
     robot: &RobotState,
     (due, grace): (Timestamp<Server>, Span),
 ) -> bool {
-    let answered = robot.questions.answered();
+    let answered = robot.contact.questions.answered();
     if !robot.takes_inquiries() || script.is_planned() {
         return answered >= Some(due);
     }

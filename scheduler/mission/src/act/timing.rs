@@ -6,6 +6,8 @@
 //! if a scheduler dies before the commitment, no robot starts; if it dies afterwards, every robot starts. `docs/mission.md` has a
 //! diagram.
 
+mod invariants;
+
 use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::lead::LeadTime;

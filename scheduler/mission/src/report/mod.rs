@@ -243,7 +243,7 @@ impl Report {
 /// The report of a robot. With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from
 /// the robots.
 fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
-    let is_described = trusts_files || robot.introduced;
+    let is_described = trusts_files || robot.greeted.introduced;
     let totals = &robot.totals;
     RobotReport {
         robot: robot.id.clone(),
@@ -259,11 +259,11 @@ fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
         unaccounted: totals.unaccounted,
         retries: totals.retries,
         reconnects: totals.reconnects,
-        ignored_answers: robot.exchanges.ignored(),
+        ignored_answers: robot.contact.exchanges.ignored(),
         failures_omitted: robot.failures.omitted(),
         clock_mode: robot.settings.clock,
         clock: robot.clock.reading(),
-        latency_differs: robot.latency_differs.clone(),
+        latency_differs: robot.greeted.latency_differs.clone(),
         pending_until: robot.block.as_ref().filter(|_| is_described).map(|_| robot.drops_undecided()),
         stop: stop_state(robot),
     }
@@ -275,16 +275,16 @@ const fn is_zero(count: &u64) -> bool {
 }
 
 fn stop_state(robot: &RobotState) -> StopState {
-    if let (Stop::Confirmed(_), Some(lease_ends)) = (&robot.stop, robot.elsewhere) {
+    if let (Stop::Confirmed(_), Some(lease_ends)) = (&robot.halt.stop, robot.halt.elsewhere) {
         return StopState::Unconfirmed { lease_ends };
     }
-    match (&robot.stop, robot.left.is_empty()) {
+    match (&robot.halt.stop, robot.halt.left.is_empty()) {
         (Stop::Confirmed(Rest::InPlace), _) => StopState::Confirmed,
         (Stop::Confirmed(Rest::Home), _) => StopState::Home,
         (Stop::None, true) => StopState::NotSent,
         (Stop::Sent(SentStop { taken_over: Some(_), .. }), _) => StopState::TakenOver,
         (Stop::None | Stop::Sent(_), _) => {
-            let ends: Option<Vec<_>> = robot.left.iter().copied().collect();
+            let ends: Option<Vec<_>> = robot.halt.left.iter().copied().collect();
             StopState::Unconfirmed { lease_ends: ends.and_then(|ends| ends.into_iter().max()) }
         }
     }

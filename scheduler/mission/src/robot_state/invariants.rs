@@ -3,14 +3,16 @@
 use urrcp::{Server, Timestamp};
 
 use super::{Link, OPEN_MAX, Questions, RobotState, Standing, Stop};
+use crate::failures::KEPT_MAX;
+use crate::invariants::holds;
 
 impl RobotState {
     /// Panics if an invariant of the robot does not hold at `now`.
     pub(crate) fn check(&self, now: Timestamp<Server>) {
         let id = &self.id;
-        self.questions.check();
+        self.contact.questions.check();
         assert_eq!(
-            self.readings.len(),
+            self.greeted.readings.len(),
             self.settings.require.len(),
             "{id}: each requirement has one reading"
         );
@@ -20,25 +22,37 @@ impl RobotState {
         if let Link::Lost(lost) = &self.link {
             assert!(lost.since <= lost.failed, "{id}: a link breaks before it fails again");
         }
-        match &self.stop {
+        match &self.halt.stop {
             Stop::Sent(sent) => {
                 assert!(sent.at <= now, "{id}: a stop was sent in the past");
-                let asked = self.requests.stops().all(|(_, device)| self.touched.contains(device));
+                let asked = self.requests.stops().all(|(_, device)| self.halt.touched.contains(device));
                 assert!(asked, "{id}: only devices that were sent anything are stopped");
-                assert!(!self.at_rest, "{id}: a robot rests once it has confirmed its stop");
+                assert!(!self.halt.at_rest, "{id}: a robot rests once it has confirmed its stop");
             }
             Stop::None | Stop::Confirmed(_) => {
                 let open = self.requests.stops().count();
                 assert_eq!(open, 0, "{id}: only a robot that is being stopped owes confirmations");
             }
         }
-        if self.introduced {
+        let others = self.failures.iter().skip(KEPT_MAX).map(|failure| std::mem::discriminant(&failure.kind));
+        let kinds: std::collections::HashSet<_> = others.clone().collect();
+        holds!(
+            others.count() == kinds.len(),
+            id,
+            "The report lists the first 64 failures of each robot and the first of each kind"
+        );
+        holds!(
+            self.halt.elsewhere.is_none() || !self.in_process,
+            id,
+            "another process may have answered in its place while the first one still runs the script"
+        );
+        if self.greeted.introduced {
             assert!(
                 self.block.is_some(),
                 "{id}: a robot that has introduced itself must have an initialization block"
             );
         }
-        if self.positions_asked.is_some() {
+        if self.pose.asked.is_some() {
             assert!(self.block.is_some(), "{id}: positions are those of devices that are known");
         }
         let totals = &self.totals;

@@ -81,7 +81,7 @@ const STOPPED: i64 = 100;
 /// A robot whose devices `a` and `b` were sent stops.
 fn stopped(rest: Rest) -> RobotState {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
-    robot.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
+    robot.halt.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
     robot.set_stop(Stop::Sent(SentStop { at: at(STOPPED), rest, taken_over: None, given_up: false }));
     for device in ["a", "b"] {
         robot.requests.add_stop(id(device), device.parse().unwrap());
@@ -129,7 +129,7 @@ fn stop_is_confirmed_when_every_device_has_confirmed_it_by_id() {
     assert!(confirmed(&mut robot, "b", Status::Failed), "it is an answer, and no confirmation");
     assert!(robot.awaits_stop());
     assert!(confirmed(&mut robot, "b", Status::Ok));
-    assert!(matches!(robot.stop, Stop::Confirmed(Rest::Home)) && robot.is_settled());
+    assert!(matches!(robot.halt.stop, Stop::Confirmed(Rest::Home)) && robot.is_settled());
     assert!(!confirmed(&mut robot, "b", Status::Ok), "there is nothing left to confirm");
 }
 
@@ -146,7 +146,7 @@ fn response_to_another_request_confirms_no_stop() {
 fn response_without_id_confirms_the_stop_of_its_device_only() {
     let mut robot = stopped(Rest::InPlace);
     assert!(answers_stop(&mut robot, at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), None));
-    assert!(matches!(robot.stop, Stop::Sent(_)), "b has not confirmed");
+    assert!(matches!(robot.halt.stop, Stop::Sent(_)), "b has not confirmed");
     assert_eq!(robot.requests.stops().map(|(id, _)| id).collect::<Vec<_>>(), [&id("b")]);
     assert!(!answers_stop(&mut robot, at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), None));
     assert!(answers_stop(&mut robot, at(STOPPED + 4), &without_name("b", Status::Ok, STOPPED + 3), None));
@@ -194,7 +194,7 @@ fn response_time_follows_robot_clock_but_is_never_later_than_now() {
 fn no_response_confirms_a_stop_before_one_is_sent() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     assert!(robot.is_settled(), "it was sent nothing");
-    robot.touched.insert("a".parse().unwrap());
+    robot.halt.touched.insert("a".parse().unwrap());
     assert!(!robot.is_settled());
     assert!(!answers_stop(&mut robot, at(1), &without_name("a", Status::Ok, 1), None));
 }
@@ -212,7 +212,7 @@ fn connection_attempts_slow_down_until_a_message_is_received() {
 #[test]
 fn reconnected_link_counts_as_broken_until_the_first_message() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
-    robot.questions.asked(at(1));
+    robot.contact.questions.asked(at(1));
     let lost = Lost {
         reason: "cut".into(),
         loss: Loss::Closed,
@@ -225,7 +225,10 @@ fn reconnected_link_counts_as_broken_until_the_first_message() {
     assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
     robot.connected(at(0));
     assert!(robot.named());
-    assert_eq!((robot.is_up(), robot.broken(), robot.questions.unanswered()), (true, Some("cut"), None));
+    assert_eq!(
+        (robot.is_up(), robot.broken(), robot.contact.questions.unanswered()),
+        (true, Some("cut"), None)
+    );
     assert!(robot.heard(Timestamp::from_nanos(0)), "for the first time since");
     assert!(!robot.heard(Timestamp::from_nanos(0)));
     assert_eq!(robot.broken(), None);
@@ -240,7 +243,7 @@ fn message_sent_in_or_shortly_before_an_interval_may_arrive_in_it() {
         robot.was_spoken_to(at(10_000), (bench::by_robot(at(before)), bench::by_robot(at(after))))
     };
     assert!(!spoken(&robot, 0, 9_000));
-    robot.spoken_at = Some(at(2_000));
+    robot.contact.spoken_at = Some(at(2_000));
     assert!(spoken(&robot, 1_000, 4_000));
     assert!(spoken(&robot, 2_900, 4_000), "it was under way");
     assert!(!spoken(&robot, 3_100, 4_000), "it was there before");
@@ -252,13 +255,13 @@ fn silence_limit_runs_from_last_message_and_two_thirds_from_a_request() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let silent = |robot: &RobotState| robot.silent_at(ms(300));
     assert_eq!(silent(&robot), None, "it owes no answer");
-    robot.questions.asked(at(10));
+    robot.contact.questions.asked(at(10));
     assert_eq!(silent(&robot), Some(at(310)), "it has never been heard");
     robot.heard(at(0));
     assert_eq!(silent(&robot), Some(at(300)));
-    robot.questions.answer(at(10));
-    robot.questions.asked(at(250));
-    assert_eq!((robot.questions.last_asked(), silent(&robot)), (Some(at(250)), Some(at(450))));
+    robot.contact.questions.answer(at(10));
+    robot.contact.questions.asked(at(250));
+    assert_eq!((robot.contact.questions.last_asked(), silent(&robot)), (Some(at(250)), Some(at(450))));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use urrcp::RobotId;
 
 use super::{Ending, Script, ScriptState};
+use crate::invariants::holds;
 
 impl Script {
     /// Whether only this process can have sent the script.
@@ -33,7 +34,11 @@ impl Script {
                 assert!(self.was_ever_sent(), "a script that runs was sent: {of}");
             }
             ScriptState::Ended(Ending::Discredited(_)) => {
-                assert!(self.started_at().is_none(), "after impossible reports, no start is known: {of}");
+                holds!(
+                    self.started_at().is_none(),
+                    of,
+                    "Nothing that the robot reports about that script counts after that"
+                );
             }
             ScriptState::Ended(Ending::Completed | Ending::Failed(_)) | ScriptState::Unknown => {}
         }

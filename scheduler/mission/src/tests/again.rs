@@ -41,11 +41,13 @@ fn act_withdrawn_before_any_motion_is_prepared_again_with_a_longer_lead() {
         assert!(played.lead() > before + ms(60), "{tells:?}");
         assert_eq!(played.run_to_the_end(), Outcome::Done, "{tells:?}");
         assert_eq!(played.starts(), 2, "{tells:?}");
-        let [report] = &*played.mission.reports.make_contiguous() else { panic!("one act was played") };
+        let [report] = &*played.mission.course.reports.make_contiguous() else {
+            panic!("one act was played")
+        };
         assert_eq!((report.number.get(), report.prepared_again), (1, 1), "{tells:?}");
         let totals = &played.mission.robots[R0].totals;
         assert_eq!((totals.scripts, totals.steps_planned), (1, totals.steps_done), "{tells:?}");
-        assert_eq!(played.mission.fates[ActIndex::new(0)].played, 1);
+        assert_eq!(played.mission.course.fates[ActIndex::new(0)].played, 1);
     }
 }
 
@@ -173,11 +175,11 @@ fn queued_act_lapses_and_is_prepared_again_after_the_current_one_ends() {
     assert_eq!((played.stops(), played.starts()), (0, 2), "a stop would end the first act, too");
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     assert_eq!((played.stops(), played.starts()), (1, 3));
-    let again: Vec<_> = played.mission.reports.iter().map(|act| act.prepared_again).collect();
+    let again: Vec<_> = played.mission.course.reports.iter().map(|act| act.prepared_again).collect();
     assert_eq!(again, [0, 1]);
     let totals = &played.mission.robots[R0].totals;
     assert_eq!((totals.scripts, totals.steps_planned), (2, totals.steps_done));
-    assert!(played.mission.fates.iter().all(|act| act.played == 1));
+    assert!(played.mission.course.fates.iter().all(|act| act.played == 1));
 }
 
 #[test]
@@ -199,7 +201,7 @@ fn act_that_cannot_have_begun_is_withdrawn_even_if_a_robot_is_lost() {
         let reason = "closed".to_owned();
         played.happens(Event::LinkDown { robot: R0, loss: Loss::Closed, reason });
         assert_eq!(played.run_to_the_end(), Outcome::Failed);
-        let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+        let fates: Vec<_> = played.mission.course.fates.iter().map(|act| act.fate.clone()).collect();
         assert_eq!(fates, [ActFate::Stopped, second]);
     }
 }
@@ -210,7 +212,7 @@ fn stop_withdraws_a_lapsing_act() {
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.starts(), 2);
-    let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+    let fates: Vec<_> = played.mission.course.fates.iter().map(|act| act.fate.clone()).collect();
     assert_eq!(fates, [ActFate::Stopped, ActFate::Withdrawn]);
 }
 
@@ -229,7 +231,7 @@ fn act_is_withdrawn_if_the_mission_ends_before_the_next_attempt() {
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.starts(), 0);
-    assert_eq!(played.mission.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
+    assert_eq!(played.mission.course.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
 }
 
 #[test]
@@ -253,7 +255,7 @@ fn stop_before_the_next_attempt_is_sent_only_if_robots_are_to_go_home() {
         played.happens(Event::StopRequested { rest, by: None });
         assert_eq!(played.run_to_the_end(), Outcome::Stopped);
         assert_eq!(played.stops() - before, sent, "{rest:?}");
-        let confirmed = matches!(played.mission.robots[R0].stop, Stop::Confirmed(Rest::Home));
+        let confirmed = matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(Rest::Home));
         assert_eq!(confirmed, rest == Rest::Home);
     }
 }
@@ -328,7 +330,7 @@ fn silent_robots_fail_at_second_attempt_or_at_third_if_all_are_silent() {
 fn single_robot_that_does_not_accept_in_time_is_left_out_at_once() {
     let mut played = accepts_late(1, OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
-    assert!(played.mission.reports.iter().all(|act| act.prepared_again == 0));
+    assert!(played.mission.course.reports.iter().all(|act| act.prepared_again == 0));
 }
 
 #[test]
@@ -417,7 +419,7 @@ fn expired_leases_and_silence_after_a_late_wake_up_are_excused() {
         played.carry_out(actions);
         let outcome = played.run_to_the_end();
         assert_eq!(
-            (outcome == Outcome::Done, played.mission.acts_repeated > 0),
+            (outcome == Outcome::Done, played.mission.course.repeated > 0),
             (repeated, repeated),
             "{case}"
         );

@@ -178,10 +178,10 @@ fn script_deferred_for_silence_is_not_sent_before_response_on_new_link() {
     let _reconnects = happens(&mut mission, at(3), down);
     let _asks = happens(&mut mission, at(4), Event::LinkUp { robot: R0 });
     for sends in [0, 1] {
-        mission.deferred = vec![(R0, script.clone().unwrap())];
-        mission.actions.clear();
+        mission.outbox.deferred = vec![(R0, script.clone().unwrap())];
+        mission.outbox.actions.clear();
         mission.send_deferred(at(6));
-        assert_eq!(scripts_in(&mission.actions).len(), sends);
+        assert_eq!(scripts_in(&mission.outbox.actions).len(), sends);
         let there = by_robot(at(5));
         mission.take_times(at(6), R0, ClockSample::from_exchange(at(5), there, there, at(6)));
     }

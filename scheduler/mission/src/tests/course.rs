@@ -12,7 +12,7 @@ pub(super) fn broken() -> FailureKind {
 }
 
 pub(super) fn fates(played: &Played) -> Vec<ActFate> {
-    played.mission.fates.iter().map(|course| course.fate.clone()).collect()
+    played.mission.course.fates.iter().map(|course| course.fate.clone()).collect()
 }
 
 fn stop(played: &mut Played) -> Outcome {
@@ -55,7 +55,7 @@ fn failed_mission_counts_as_not_started_if_nothing_has_moved() {
     assert_eq!(fail(&mut played), Outcome::Failed, "it plays");
     let mut played = Played::begun(waits_in(1));
     played.run_until(played.now + ms(3_000));
-    assert_eq!(played.mission.reports.len(), 1);
+    assert_eq!(played.mission.course.reports.len(), 1);
     assert_eq!(fail(&mut played), Outcome::Failed, "an act was played");
 }
 
@@ -80,7 +80,7 @@ fn acts_follow_each_other_up_to_the_requested_number() {
         mission.options.acts_max = acts_max;
         let mut played = Played::begun(mission);
         assert_eq!(played.run_to_the_end(), Outcome::Done, "{acts_max:?}");
-        assert_eq!(played.mission.acts_begun, begun, "{acts_max:?}");
+        assert_eq!(played.mission.course.begun, begun, "{acts_max:?}");
         assert_eq!(played.mission.bound_reached(), bound, "{acts_max:?}");
         let totals = played.mission.robots[R0].totals;
         let begun = begun as usize;
@@ -97,7 +97,7 @@ fn acts_follow_each_other_up_to_the_requested_number() {
 fn act_that_follows_at_once_starts_when_the_previous_one_ends() {
     let mut played = Played::begun(waits_in(2));
     let _done = played.run_to_the_end();
-    let [one, two] = [0, 1].map(|act| &played.mission.reports[act]);
+    let [one, two] = [0, 1].map(|act| &played.mission.course.reports[act]);
     assert_eq!(two.start, one.start + ms(400));
     assert_eq!((one.gap, two.gap), (None, Some(Span::ZERO)));
 }
@@ -107,7 +107,7 @@ fn act_report_states_its_times() {
     let mut played = Played::begun(begins_at_once(Everything));
     let timing = played.mission.acts[0].timing().unwrap().clone();
     let _done = played.run_to_the_end();
-    let report = &played.mission.reports[0];
+    let report = &played.mission.course.reports[0];
     assert_eq!((report.timestamp, report.start), (timing.timestamp, timing.start));
     assert_eq!(report.start, report.timestamp + report.lead.total());
     assert_eq!(report.spread, Some(Span::ZERO));
@@ -143,9 +143,9 @@ fn others_continue_without_a_failed_robot_and_the_outcome_reports_it() {
     played.mission.fail(now, R1, broken());
     assert_eq!(played.mission.robots[R1].standing, Standing::Out);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
-    let report = &played.mission.reports[0];
+    let report = &played.mission.course.reports[0];
     assert_eq!(report.robots.iter().map(|robot| robot.left_out).collect::<Vec<_>>(), [false, true]);
-    let stopped = |robot: RobotIndex| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
+    let stopped = |robot: RobotIndex| matches!(played.mission.robots[robot].halt.stop, Stop::Confirmed(_));
     assert_eq!((stopped(R0), stopped(R1)), (false, true));
 }
 
@@ -237,7 +237,7 @@ fn mission_left_by_the_operator_reports_its_current_acts() {
     let mut played = Played::begun(begins_at_once(Everything));
     let now = played.now;
     played.mission.leave(now);
-    assert_eq!((played.mission.acts.len(), played.mission.reports.len()), (0, 1));
+    assert_eq!((played.mission.acts.len(), played.mission.course.reports.len()), (0, 1));
 }
 
 #[test]
@@ -267,9 +267,13 @@ fn journal_start_must_be_stored_within_the_operators_patience() {
     let ends = mission.acts[0].since() + mission.options.patience;
     assert!(mission.next_wakeup() <= Some(ends));
     let _waits = mission.advance(ends - Span::from_nanos(1));
-    assert_eq!(mission.outcome, None);
+    assert_eq!(mission.conclusion.outcome, None);
     let _ends = mission.advance(ends);
-    assert!(matches!(mission.outcome(), Some(Outcome::JournalLost { .. })), "{:?}", mission.outcome);
+    assert!(
+        matches!(mission.outcome(), Some(Outcome::JournalLost { .. })),
+        "{:?}",
+        mission.conclusion.outcome
+    );
 }
 
 /// The outcome of a mission whose act is sent with these options, before any script plays.
@@ -375,7 +379,7 @@ fn twice_the_disk_delay_is_allowed_and_slowly_forgotten() {
         mission.recording.count += 1;
         let count = mission.recording.count;
         mission.recording.awaited.push_back((count, None, at(0)));
-        mission.arrived = at(took);
+        mission.outbox.arrived = at(took);
         mission.recorded(at(took), count);
         assert_eq!(mission.recording_time().as_nanos() / 1_000_000, allowed, "{took}");
     }
@@ -403,7 +407,7 @@ fn strictest_policy_applies_when_robots_fail_together() {
         played.run_to_the_start();
         let now = played.now;
         played.mission.fail_all(now, vec![(R0, broken()), (R1, broken())]);
-        let rest_of_third = match &played.mission.robots[R2].stop {
+        let rest_of_third = match &played.mission.robots[R2].halt.stop {
             Stop::Sent(sent) => Some(sent.rest),
             _ => None,
         };
@@ -433,7 +437,7 @@ fn loop_of_acts_with_no_robots_left_ends_the_mission() {
     mission.options.check_invariants = false;
     let _ended = happens(&mut mission, at(0), Event::LinkUp { robot: R1 });
     assert_eq!(mission.outcome(), Some(&Outcome::DoneWithout));
-    assert!((2..=3).contains(&mission.acts_begun), "{} acts", mission.acts_begun);
+    assert!((2..=3).contains(&mission.course.begun), "{} acts", mission.course.begun);
 }
 
 #[test]
@@ -442,7 +446,7 @@ fn act_left_by_the_operator_before_its_start_is_withdrawn_though_sent() {
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: R0 });
     assert!(mission.acts[0].is_unaccounted());
     mission.leave(at(1));
-    assert_eq!(mission.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
+    assert_eq!(mission.course.fates[ActIndex::new(0)].fate, ActFate::Withdrawn);
 }
 
 /// A mission with one act. Its first robot has played its whole script, and the other robots continue to play.

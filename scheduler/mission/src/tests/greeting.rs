@@ -85,12 +85,12 @@ fn pending_request_is_repeated_after_three_round_trips_and_a_margin() {
     let mut mission = greets_a_clock(0, 40);
     mission.robots[R0].connected(at(0));
     mission.robots[R0].named();
-    mission.robots[R0].questions.asked(at(100));
+    mission.robots[R0].contact.questions.asked(at(100));
     let again = at(100) + ms(3 * 40 + 20);
     mission.ask_further(again - Span::from_nanos(1), R0);
-    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.outbox.actions)), 0);
     mission.ask_further(again, R0);
-    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
+    assert_eq!(asks(&std::mem::take(&mut mission.outbox.actions)), 1);
 }
 
 /// A mission whose robot has proven its identity, and may be taken over from another session.
@@ -98,7 +98,7 @@ fn may_seize() -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
     mission.options.seize = true;
-    mission.robots[R0].proven = true;
+    mission.robots[R0].identity.proven = true;
     mission.robots[R0].connected(at(0));
     mission.robots[R0].named();
     mission
@@ -113,8 +113,8 @@ fn only_proven_robots_never_ours_are_seized_from_another_session() {
     type Change = fn(&mut Mission);
     let changes: [(&str, Change); 5] = [
         ("the operator does not want it", |mission| mission.options.seize = false),
-        ("it has not proven who it is", |mission| mission.robots[R0].proven = false),
-        ("it was ours", |mission| mission.robots[R0].ownership = Ownership::Seized),
+        ("it has not proven who it is", |mission| mission.robots[R0].identity.proven = false),
+        ("it was ours", |mission| mission.robots[R0].identity.ownership = Ownership::Seized),
         ("it has answered", |mission| {
             let there = by_robot(at(1));
             mission.robots[R0].clock.add(ClockSample::from_exchange(at(0), there, there, at(2)));
@@ -138,23 +138,23 @@ fn robot_of_another_session_is_seized_unless_a_robot_has_failed() {
         let mut mission = may_seize();
         assert!(!mission.seize_others(at(1)), "it belongs to nobody");
         assert!(mission.is_to_be_seized(R0, &busy()));
-        mission.robots[R0].positions = vec![("a".parse().unwrap(), 1.0)];
+        mission.robots[R0].pose.read = vec![("a".parse().unwrap(), 1.0)];
         if fails {
             mission.note_failure(R0, FailureKind::Garbled { reason: "x".into() });
         }
         assert_eq!(mission.seize_others(at(1)), !fails);
         if fails {
-            assert_eq!(mission.robots[R0].ownership, Ownership::Asked);
+            assert_eq!(mission.robots[R0].identity.ownership, Ownership::Asked);
             let busy = FailureKind::NotAvailable { error: busy() };
             assert_eq!(mission.robots[R0].failures.last().map(|failure| &failure.kind), Some(&busy));
             continue;
         }
-        assert_eq!(mission.robots[R0].ownership, Ownership::Seizing);
-        assert_eq!(mission.robots[R0].positions, [], "where it stood while it was another's");
+        assert_eq!(mission.robots[R0].identity.ownership, Ownership::Seizing);
+        assert_eq!(mission.robots[R0].pose.read, [], "where it stood while it was another's");
         let seizes = |action: &Action| matches!(action, Action::Send { message: Message::AvailabilityRequest(asked), .. } if asked.seize);
-        assert!(mission.actions.iter().any(seizes));
+        assert!(mission.outbox.actions.iter().any(seizes));
         mission.is_ours(at(2), R0);
-        assert_eq!(mission.robots[R0].ownership, Ownership::Seized);
+        assert_eq!(mission.robots[R0].identity.ownership, Ownership::Seized);
     }
 }
 
@@ -163,7 +163,7 @@ fn robot_that_became_free_meanwhile_is_asked_and_not_seized() {
     let mut mission = may_seize();
     assert!(mission.is_to_be_seized(R0, &busy()));
     mission.is_ours(at(1), R0);
-    assert_eq!(mission.robots[R0].ownership, Ownership::Asked);
+    assert_eq!(mission.robots[R0].identity.ownership, Ownership::Asked);
 }
 
 /// A mission with a robot whose device `a` declares that it can report its position. The first keyframe of `a` is at 45.
@@ -186,16 +186,16 @@ fn only_a_seized_robot_out_of_place_is_read_again_one_reading_at_a_time() {
         [(Ownership::Seized, 10.0, 1), (Ownership::Seized, 45.0, 0), (Ownership::Asked, 10.0, 0)]
     {
         let mut mission = tells_where_it_stands();
-        mission.robots[R0].ownership = ownership.clone();
-        mission.robots[R0].positions = vec![("a".parse().unwrap(), stands)];
+        mission.robots[R0].identity.ownership = ownership.clone();
+        mission.robots[R0].pose.read = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(1), R0);
         assert_eq!(
             mission.robots[R0].requests.awaited_readings().count(),
             reads,
             "{ownership:?} at {stands}"
         );
-        assert_eq!(mission.robots[R0].positions.len(), 1 - reads);
-        mission.robots[R0].positions = vec![("a".parse().unwrap(), stands)];
+        assert_eq!(mission.robots[R0].pose.read.len(), 1 - reads);
+        mission.robots[R0].pose.read = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(2), R0);
         assert_eq!(mission.robots[R0].requests.awaited_readings().count(), reads, "its answer is awaited");
     }
@@ -206,7 +206,7 @@ fn seized_robot_that_still_moves_is_read_again_for_at_most_four_seconds() {
     for (arrives, outcome) in [(None, Outcome::NotStarted), (Some(at(3_900)), Outcome::Done)] {
         let mut mission = may_seize();
         mission.robots[R0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Linear;
-        mission.robots[R0].ownership = Ownership::Seizing;
+        mission.robots[R0].identity.ownership = Ownership::Seizing;
         let mut played = Played::linked(mission, &[R0]);
         played.positions = [("a".parse().unwrap(), 10.0)].into();
         if let Some(arrives) = arrives {
@@ -288,7 +288,7 @@ fn slow_robot_is_measured_for_four_more_seconds_and_then_refused() {
     was_slow(&mut mission);
     for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
         // While it samples, the mission asks again every 20 ms.
-        if let Some((_, next)) = &mut mission.sampling {
+        if let Some((_, next)) = &mut mission.greeting.sampling {
             *next = at(now) + ms(20);
         }
         assert_eq!(mission.still_sampling(at(now)), goes_on, "{now}");
@@ -360,7 +360,7 @@ fn ignored_responses_are_reported_for_a_robot_that_seems_silent() {
     let mut mission = asked();
     mission.robots[R0].connected(at(0));
     mission.robots[R0].named();
-    mission.robots[R0].exchanges.ignore();
+    mission.robots[R0].contact.exchanges.ignore();
     mission.greeting_overdue(at(5_000));
     let text = mission.robots[R0].failures[0].kind.to_string();
     assert!(text.contains("availability response (answers ignored because they match no request or have impossible times: 1)"), "{text}");
@@ -417,7 +417,7 @@ fn joining_robot_that_would_jump_is_left_out_and_the_others_play() {
         let misplaced = |failure: &Failure| matches!(failure.kind, FailureKind::Position { .. });
         assert_eq!(robot.failures.iter().any(misplaced), left_out, "at {stands_at:?}");
         assert_eq!(robot.totals.started > 0, !left_out, "at {stands_at:?}");
-        assert!(robot.touched.is_empty() == left_out, "at {stands_at:?}");
+        assert!(robot.halt.touched.is_empty() == left_out, "at {stands_at:?}");
         assert!(played.mission.outcome().is_none(), "the other robot still plays");
     }
 }
@@ -436,7 +436,7 @@ fn act_ends_immediately_if_its_only_robot_joins_late_and_would_jump() {
     played.happens(Event::LinkUp { robot: R1 });
     played.run_until(at(6_000));
     assert_eq!(played.mission.outcome(), Some(&Outcome::DoneWithout));
-    assert!(played.mission.robots[R1].touched.is_empty());
+    assert!(played.mission.robots[R1].halt.touched.is_empty());
 }
 
 #[test]
@@ -462,7 +462,7 @@ fn robot_that_moved_while_disconnected_before_its_first_act_fails() {
         played.happens(Event::Go { act: None, by: None });
         let outcome = played.run_to_the_end();
         assert_eq!(outcome == Outcome::NotStarted, fails, "at {stands_at}: {outcome:?}");
-        assert_eq!(played.mission.robots[R1].touched.is_empty(), fails, "at {stands_at}");
+        assert_eq!(played.mission.robots[R1].halt.touched.is_empty(), fails, "at {stands_at}");
         let mut failures = played.mission.robots[R1].failures.iter();
         assert!(failures.all(|failure| failure.kind.to_string().contains("`run --approach 5s`")));
     }
@@ -656,7 +656,7 @@ fn device_may_be_two_steps_or_two_errors_from_its_first_value() {
             max_error.into_iter().for_each(|error: f64| limits["max_error"] = error.into());
         });
         for (off, misplaced) in [(within, 0), (-within, 0), (within + 0.25, 1), (-within - 0.25, 1)] {
-            mission.robots[R0].positions = vec![("a".parse().unwrap(), 45.0 + off)];
+            mission.robots[R0].pose.read = vec![("a".parse().unwrap(), 45.0 + off)];
             assert_eq!(mission.misplaced(R0).len(), misplaced, "{off} of {within}");
         }
     }
@@ -687,7 +687,7 @@ fn device_that_jumps_or_has_time_to_arrive_may_be_anywhere() {
             mission.robots[R0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Hold;
         }
         first(&mut mission, after, control_type);
-        mission.first_uses[R0].values_mut().for_each(|(_, largest)| *largest = speed);
+        mission.greeting.first_uses[R0].values_mut().for_each(|(_, largest)| *largest = speed);
         let told = mission.expected_position(R0, &"a".parse().unwrap());
         let expected = expected.map(|within| Expected { position: 45.0, within });
         assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}, {speed:?}");
@@ -711,7 +711,7 @@ fn device_first_moved_in_a_later_act_must_not_jump() {
         let mut mission = Mission::new(show, vec![participant], MissionOptions::default(), at(0)).unwrap();
         let stated = [("a", 45.0), ("b", 10.0)];
         let stated = stated.map(|(device, position)| (device.parse().unwrap(), position));
-        mission.robots[R0].commanded = stated.into();
+        mission.robots[R0].pose.commanded = stated.into();
         let found = mission.misplaced(R0);
         let is_b = |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
         assert_eq!((found.len(), found.iter().all(is_b)), (misplaced, true), "{next:?}: {found:?}");
@@ -737,7 +737,7 @@ fn failed_robot_does_not_join_when_it_connects() {
     played.mission.note_failure(R1, FailureKind::Garbled { reason: "x".into() });
     played.happens(Event::LinkUp { robot: R1 });
     played.run_until(at(5_000));
-    assert!(played.mission.robots[R1].introduced && played.mission.robots[R1].clock.samples() >= 8);
+    assert!(played.mission.robots[R1].greeted.introduced && played.mission.robots[R1].clock.samples() >= 8);
     assert_eq!(played.mission.robots[R1].standing, Standing::Absent);
 }
 
@@ -829,7 +829,7 @@ fn refuses_b(played: &Played) -> bool {
     let Some(failure) = robot.failures.iter().find(|failure| is_b(&failure.kind)) else { return false };
     let told = "device `b` is at 0, but its first keyframe in the act `another` expects 45: move it there in an earlier act, or put that keyframe later";
     assert_eq!(failure.kind.to_string(), told);
-    !robot.touched.contains("b")
+    !robot.halt.touched.contains("b")
 }
 
 #[test]
@@ -851,7 +851,7 @@ fn device_whose_sensor_reads_nothing_begins_the_act_from_anywhere() {
     played.positions.clear();
     let outcome = played.run_to_the_end();
     let robot = &played.mission.robots[R0];
-    assert!(!robot.has_failed() && robot.touched.contains("b"), "{outcome}: {:?}", robot.failures);
+    assert!(!robot.has_failed() && robot.halt.touched.contains("b"), "{outcome}: {:?}", robot.failures);
 }
 
 #[test]
@@ -864,7 +864,7 @@ fn untouched_device_without_a_reported_position_is_not_moved() {
         let awaited = "positions of its devices";
         let silent = |failure: &Failure| matches!(&failure.kind, FailureKind::Silent { awaited: of, .. } if of == awaited);
         assert!(robot.failures.iter().any(silent), "{tells:?}: {:?}", robot.failures);
-        assert!(robot.touched.is_empty());
+        assert!(robot.halt.touched.is_empty());
     }
 }
 

@@ -24,14 +24,14 @@ fn broken() -> Played {
 #[test]
 fn robot_is_given_up_only_when_its_lost_link_times_out() {
     let Played { mut mission, now, .. } = broken();
-    let until = mission.give_up.unwrap();
+    let until = mission.timers.give_up.unwrap();
     assert!(until >= now + RUNNING);
     mission.give_up_lost(until - Span::from_nanos(1));
     assert!(!mission.robots[R0].has_failed(), "it may still come back");
     mission.give_up_lost(until);
     let kinds: Vec<_> = mission.robots[R0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert_eq!(kinds, [FailureKind::LinkDown { reason: "it broke".to_owned() }]);
-    assert_eq!(mission.give_up, None, "the mission waits for no other robot");
+    assert_eq!(mission.timers.give_up, None, "the mission waits for no other robot");
 }
 
 #[test]
@@ -44,19 +44,19 @@ fn lost_link_and_its_deadline_are_reported_to_the_operator_once() {
         _ => None,
     };
     let told: Vec<_> = played.told.iter().filter_map(lost).collect();
-    assert_eq!(told, [("it broke".to_owned(), played.mission.give_up)]);
+    assert_eq!(told, [("it broke".to_owned(), played.mission.timers.give_up)]);
 }
 
 #[test]
 fn reattached_robot_is_no_longer_awaited() {
     let mut played = broken();
-    let until = played.mission.give_up.unwrap();
+    let until = played.mission.timers.give_up.unwrap();
     played.mute.clear();
     played.happens(Event::LinkUp { robot: R0 });
-    assert_eq!(played.mission.give_up, Some(until), "it has not answered");
+    assert_eq!(played.mission.timers.give_up, Some(until), "it has not answered");
     played.run_until(played.now + ms(1));
     assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
-    assert_eq!(played.mission.give_up, None);
+    assert_eq!(played.mission.timers.give_up, None);
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     assert_eq!(played.mission.robots[R0].totals.reconnects, 1);
 }
@@ -71,7 +71,7 @@ fn replaced(patience: Span) -> Played {
     played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + ms(20));
     let robot = &played.mission.robots[R0];
-    assert!(matches!(robot.stop, Stop::Confirmed(_)) && !robot.is_settled());
+    assert!(matches!(robot.halt.stop, Stop::Confirmed(_)) && !robot.is_settled());
     played
 }
 
@@ -103,7 +103,7 @@ fn stop_confirmed_by_a_process_not_yet_known_to_be_new_takes_effect_late() {
     played.mute.clear();
     played.happens(Event::LinkUp { robot: R0 });
     played.run_until(played.now + RUNNING - ms(40));
-    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
+    assert!(matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(_)));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (None, 0));
     played.run_until(played.now + ms(60));
     assert_eq!((played.mission.outcome(), confirmations(&played)), (Some(&Outcome::Stopped), 1));
@@ -140,7 +140,7 @@ fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
     let actions = played.mission.advance(now);
     played.carry_out(actions);
     played.run_until(now + ms(1));
-    played.mission.robots[R0].elsewhere.expect("another process may run it").map(|until| until - start)
+    played.mission.robots[R0].halt.elsewhere.expect("another process may run it").map(|until| until - start)
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn longest_lease_of_the_lost_scripts_applies() {
     let elsewhere = |leases: &[Option<i64>]| {
         let mut mission = begins_at_once(Everything);
         leases.iter().for_each(|lease| mission.robots[R0].runs_elsewhere(lease.map(at)));
-        mission.robots[R0].elsewhere
+        mission.robots[R0].halt.elsewhere
     };
     assert_eq!(elsewhere(&[]), None);
     assert_eq!(elsewhere(&[Some(3), Some(5), Some(4)]), Some(Some(at(5))));
@@ -273,11 +273,11 @@ fn late_round_counts_as_a_machine_stall_and_excuses_open_requests() {
     for (late, held_up) in [(100, 0), (101, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));
         let due = played.now;
-        played.mission.next_round = Some(due);
-        played.mission.robots[R0].questions.asked(due);
+        played.mission.timers.next_round = Some(due);
+        played.mission.robots[R0].contact.questions.asked(due);
         played.mission.notice_hold_up(due + ms(late));
-        assert_eq!(played.mission.rounds_held_up, held_up);
-        assert_eq!(played.mission.robots[R0].questions.unanswered().is_none(), held_up > 0);
+        assert_eq!(played.mission.machine.rounds_held_up, held_up);
+        assert_eq!(played.mission.robots[R0].contact.questions.unanswered().is_none(), held_up > 0);
     }
 }
 
@@ -288,10 +288,10 @@ fn round_due_in_the_quiet_around_a_start_comes_shortly_after_it() {
     let now = start - Span::from_micros(100);
     played.run_until(now);
     let before = played.sent.len();
-    played.mission.next_round = Some(now);
+    played.mission.timers.next_round = Some(now);
     played.mission.renew_if_due(now);
-    assert_eq!((played.mission.actions.len(), played.sent.len()), (0, before));
-    assert_eq!(played.mission.next_round, Some(start + ms(1)));
+    assert_eq!((played.mission.outbox.actions.len(), played.sent.len()), (0, before));
+    assert_eq!(played.mission.timers.next_round, Some(start + ms(1)));
 }
 
 #[test]
@@ -322,12 +322,12 @@ fn each_lost_robot_is_given_up_at_its_own_time() {
         };
         mission.robots[RobotIndex::new(robot)].link = crate::robot_state::Link::Lost(lost);
     }
-    mission.give_up = Some(at(10));
+    mission.timers.give_up = Some(at(10));
     mission.give_up_lost(at(10) - Span::from_nanos(1));
     assert!(!mission.robots[R1].has_failed());
     mission.give_up_lost(at(10));
     let failed = [0, 1].map(|robot| mission.robots[RobotIndex::new(robot)].has_failed());
-    assert_eq!((failed, mission.give_up), ([false, true], Some(at(20))));
+    assert_eq!((failed, mission.timers.give_up), ([false, true], Some(at(20))));
 }
 
 #[test]
@@ -340,9 +340,9 @@ fn round_needed_by_a_short_lease_is_not_delayed_by_quiet_around_a_start() {
         let mut played = Played::begun(mission);
         let now = played.mission.acts[0].timing().unwrap().start - Span::from_micros(100);
         played.run_until(now);
-        played.mission.next_round = Some(now);
+        played.mission.timers.next_round = Some(now);
         played.mission.renew_if_due(now);
-        assert_eq!(played.mission.actions.is_empty(), waits, "a lease of {lease} ms");
+        assert_eq!(played.mission.outbox.actions.is_empty(), waits, "a lease of {lease} ms");
     }
 }
 
@@ -353,8 +353,8 @@ fn silence_is_detected_by_a_check_that_runs_slightly_late() {
         played.run_to_the_start();
         let now = played.now;
         played.mission.robots[R0].heard(now - ms(60_000));
-        played.mission.robots[R0].questions.asked(now - ms(60_000));
-        played.mission.next_silence = Some(now - ms(looks));
+        played.mission.robots[R0].contact.questions.asked(now - ms(60_000));
+        played.mission.timers.next_silence = Some(now - ms(looks));
         played.mission.notice_silence(now);
         assert_eq!(played.mission.robots[R0].has_failed(), noticed, "{looks} ms after it was due");
     }
@@ -366,12 +366,12 @@ fn robot_just_asked_by_an_approaching_act_is_not_asked_again_by_a_round() {
         let mut played = Played::begun(begins_at_once(Everything));
         let now = played.now;
         assert!(played.mission.acts[0].approaches(R0) && !played.mission.acts[0].holds_messages_to(R0, now));
-        played.mission.robots[R0].questions.forgive();
+        played.mission.robots[R0].contact.questions.forgive();
         let mut questions = crate::robot_state::Questions::default();
         questions.asked(now - ms(asked));
-        played.mission.robots[R0].questions = questions;
-        played.mission.next_round = Some(now);
+        played.mission.robots[R0].contact.questions = questions;
+        played.mission.timers.next_round = Some(now);
         played.mission.renew_if_due(now);
-        assert_eq!(played.mission.actions.len(), more, "asked {asked} ms ago");
+        assert_eq!(played.mission.outbox.actions.len(), more, "asked {asked} ms ago");
     }
 }

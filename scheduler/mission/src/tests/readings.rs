@@ -56,10 +56,10 @@ fn readings_lost_with_a_broken_link_during_greeting_are_requested_again() {
     let mut played = has_a_sensor(Tells::Reports);
     let range = SensorRange::Above(10.0);
     played.mission.robots[R0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];
-    played.mission.robots[R0].readings = vec![None];
+    played.mission.robots[R0].greeted.readings = vec![None];
     // The robot's block has arrived, and the readings are pending.
     played.run_until(at(0) + Span::from_micros(500));
-    assert!(played.mission.robots[R0].introduced && !played.mission.robots[R0].has_shown_its_pose());
+    assert!(played.mission.robots[R0].greeted.introduced && !played.mission.robots[R0].has_shown_its_pose());
     played.mutes(R0);
     played.mute.clear();
     let reason = "closed".to_owned();

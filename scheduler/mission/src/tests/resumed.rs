@@ -26,16 +26,16 @@ fn resumed_mission_queries_sent_scripts_and_resends_none() {
     assert_eq!(played.mission.acts.len(), 1, "the second act plays alone");
     let now = played.now;
     let mut resumed = resumed_after(&played, 0).mission;
-    assert_eq!((resumed.phase, resumed.acts_begun), (Phase::Performing, 2));
+    assert_eq!((resumed.phase, resumed.course.begun), (Phase::Performing, 2));
     assert_eq!((resumed.acts.len(), resumed.acts[0].number().get()), (1, 1));
     assert!(
         resumed.acts[0]
             .script(ScriptRef { act: ActNumber::new(1), member: MemberIndex::new(0), script: 0 })
             .is_out()
     );
-    assert!(resumed.robots[R0].touched.contains(&"a".parse::<DeviceId>().unwrap()));
-    assert_eq!(resumed.next_round, Some(now), "leases have been running out");
-    assert_eq!(resumed.fates[ActIndex::new(0)].fate, ActFate::Played);
+    assert!(resumed.robots[R0].halt.touched.contains(&"a".parse::<DeviceId>().unwrap()));
+    assert_eq!(resumed.timers.next_round, Some(now), "leases have been running out");
+    assert_eq!(resumed.course.fates[ActIndex::new(0)].fate, ActFate::Played);
     let actions = happens(&mut resumed, now, Event::LinkUp { robot: R0 });
     assert_eq!(scripts_in(&actions), []);
     let asks = |action: &Action| matches!(action, Action::Send { message: Message::Inquiry(_), .. });
@@ -56,7 +56,7 @@ fn left_out_robot_stays_out_after_resumption_and_is_stopped() {
     let mut resumed = resumed_after(&played, 200);
     assert_eq!(resumed.mission.robots[R1].standing, Standing::Out);
     assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
-    assert!(matches!(resumed.mission.robots[R1].stop, Stop::Confirmed(_)));
+    assert!(matches!(resumed.mission.robots[R1].halt.stop, Stop::Confirmed(_)));
 }
 
 /// A mission some time after it left out its second robot, which had played one step.
@@ -84,7 +84,7 @@ fn robot_left_out_before_the_crash_is_reported_with_failure_and_steps() {
         assert_eq!(robot.failures.iter().map(|failure| &failure.kind).collect::<Vec<_>>(), [&broken()]);
         assert_eq!((robot.totals.scripts, robot.totals.started, robot.totals.steps_done), (1, 1, 1));
         assert_eq!(robot.totals.unaccounted, 0);
-        let left_out = resumed.mission.reports[0].robots.iter().map(|robot| robot.left_out);
+        let left_out = resumed.mission.course.reports[0].robots.iter().map(|robot| robot.left_out);
         assert_eq!(left_out.collect::<Vec<_>>(), [false, true]);
     }
 }
@@ -115,7 +115,7 @@ fn lapsing_act_is_prepared_again_by_the_resuming_process() {
         let mut resumed = resumed_after(&played, 10);
         assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{committed}");
         assert!(!resumed.mission.robots[R0].has_failed());
-        assert!(resumed.mission.fates.iter().all(|act| act.played == 1));
+        assert!(resumed.mission.course.fates.iter().all(|act| act.played == 1));
     }
 }
 
@@ -141,14 +141,14 @@ fn act_prepared_again_is_reported_as_such_after_resumption() {
     played.run_to_the_start();
     let mut resumed = resumed_after(&played, 10);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done);
-    assert_eq!(resumed.mission.reports[0].prepared_again, 1);
+    assert_eq!(resumed.mission.course.reports[0].prepared_again, 1);
 }
 
 #[test]
 fn report_of_a_resumed_mission_contains_acts_ended_before_the_crash() {
     let mut played = Played::begun(waits_in(2));
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
-    let before = played.mission.reports[0].clone();
+    let before = played.mission.course.reports[0].clone();
     let mut resumed = resumed_after(&played, 0);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done);
     let undisturbed = played.run_to_the_end();
@@ -156,10 +156,10 @@ fn report_of_a_resumed_mission_contains_acts_ended_before_the_crash() {
     assert_eq!((undisturbed, std::mem::take(&mut totals.reconnects)), (Outcome::Done, 1));
     assert_eq!(format!("{totals:?}"), format!("{expected:?}"));
     assert_eq!((totals.scripts, totals.steps_done), (2, 4));
-    let reports = &resumed.mission.reports;
+    let reports = &resumed.mission.course.reports;
     assert_eq!(reports.iter().map(|act| act.number.get()).collect::<Vec<_>>(), [0, 1]);
     let [listed, before] = [&reports[0], &before].map(|act| serde_json::to_value(act).unwrap());
-    assert_eq!((listed, resumed.mission.reports_omitted), (before, 0));
+    assert_eq!((listed, resumed.mission.course.reports_omitted), (before, 0));
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn acts_with_unreadable_reports_are_counted() {
     played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
     let (kept, _) = kept(&played);
     let resumed = played.resumed_at(played.now, &kept, Vec::new());
-    assert_eq!(resumed.mission.reports_omitted, 1);
+    assert_eq!(resumed.mission.course.reports_omitted, 1);
 }
 
 #[test]
@@ -303,7 +303,7 @@ fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
         Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
     let mut played = Played::linked(mission, &[R0]);
     let outcome = played.run_to_the_end();
-    assert!(matches!(played.mission.robots[R0].stop, Stop::Confirmed(_)));
+    assert!(matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(_)));
     assert_eq!(played.mission.robots[R0].failures.len(), 1, "the failure from the journal");
     (outcome, played.mission.because().map(str::to_owned))
 }
@@ -381,7 +381,7 @@ fn resumed_act_keeps_the_doubt_recorded_at_its_decision() {
     });
     let mut resumed = resumed_after(&played, 50);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done);
-    assert_eq!(Some(resumed.mission.reports[0].doubt), stated);
+    assert_eq!(Some(resumed.mission.course.reports[0].doubt), stated);
 }
 
 /// The failures after another process has resumed an act of three robots with measured clocks. The robots' clocks are ahead of that

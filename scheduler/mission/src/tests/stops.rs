@@ -83,12 +83,15 @@ fn stop_is_sent_at_once_while_other_messages_await_the_commitment() {
             "b".parse().unwrap(),
             super::super::robot_state::Reading::Wait(ActNumber::new(0)),
         );
-        assert!(mission.actions.is_empty() && mission.deferred.len() == 1, "it waits for the commitment");
+        assert!(
+            mission.outbox.actions.is_empty() && mission.outbox.deferred.len() == 1,
+            "it waits for the commitment"
+        );
         let actions = if by_operator {
             mission.handle(now, Event::StopRequested { rest: Rest::InPlace, by: None })
         } else {
             mission.fail(now, R0, super::course::broken());
-            std::mem::take(&mut mission.actions)
+            std::mem::take(&mut mission.outbox.actions)
         };
         let urgent = |action: &Action| match action {
             Action::Send { robot, urgent: true, .. } => Some(*robot),
@@ -137,16 +140,20 @@ fn robot_is_stopped_again_only_if_the_kind_of_stop_differs() {
 fn stop_after_a_failure_lasts_until_the_operator_overrides_it() {
     let mut mission = sent();
     mission.abort(at(1), Outcome::Failed, Rest::InPlace, Some(ActIndex::new(0)));
-    assert_eq!(stops_in(&std::mem::take(&mut mission.actions)).len(), 1);
-    assert_eq!(mission.then, Some(ActIndex::new(0)));
+    assert_eq!(stops_in(&std::mem::take(&mut mission.outbox.actions)).len(), 1);
+    assert_eq!(mission.course.then, Some(ActIndex::new(0)));
     assert_eq!(asked_to_stop(&mut mission, 2, Rest::InPlace).len(), 0);
-    assert_eq!((mission.then, mission.outcome.clone()), (None, Some(Outcome::Stopped)), "nothing follows");
+    assert_eq!(
+        (mission.course.then, mission.conclusion.outcome.clone()),
+        (None, Some(Outcome::Stopped)),
+        "nothing follows"
+    );
     let _ends = mission.advance(at(1) + mission.options.patience + ms(1));
     assert_eq!(mission.outcome(), Some(&Outcome::Stopped));
 
     let mut mission = sent();
     mission.abort(at(1), Outcome::Failed, Rest::Home, None);
-    mission.actions.clear();
+    mission.outbox.actions.clear();
     let stops = asked_to_stop(&mut mission, 2, Rest::InPlace);
     assert_eq!(
         stops.iter().map(|stop| stop.home).collect::<Vec<_>>(),
@@ -164,12 +171,12 @@ fn lost_journal_stops_the_mission_and_no_act_follows_a_stop() {
 
     let mut mission = sent();
     assert_eq!(stops_in(&mission.handle(at(1), lost())).len(), 1);
-    assert!(matches!(mission.outcome, Some(Outcome::JournalLost { .. })));
+    assert!(matches!(mission.conclusion.outcome, Some(Outcome::JournalLost { .. })));
 
     let mut mission = sent();
     mission.abort(at(1), Outcome::Failed, Rest::Home, Some(ActIndex::new(0)));
     let _told = mission.handle(at(2), lost());
-    assert_eq!(mission.then, None);
+    assert_eq!(mission.course.then, None);
 }
 
 #[test]
@@ -258,8 +265,8 @@ fn scripts_left_by_another_process_are_withdrawn_once_links_are_up() {
             let ending = (Outcome::Stopped, "why".to_owned());
             let mut mission =
                 Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::Home, at(0));
-            assert_eq!(mission.robots[R0].own_id.as_str(), "UR5-1");
-            assert_eq!(mission.robots[R0].left, expected);
+            assert_eq!(mission.robots[R0].identity.own_id.as_str(), "UR5-1");
+            assert_eq!(mission.robots[R0].halt.left, expected);
             let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 }));
             let devices: Vec<_> = stops.iter().map(|stop| stop.device_id.as_str()).collect();
             assert_eq!(devices, ["a", "b"]);
@@ -320,7 +327,7 @@ fn robot_taken_over_by_another_session_is_stopped_only_by_the_operator() {
             asked_to_stop(&mut mission, 1, Rest::InPlace)
         } else {
             mission.abort(at(1), Outcome::Failed, Rest::InPlace, None);
-            stops_in(&std::mem::take(&mut mission.actions))
+            stops_in(&std::mem::take(&mut mission.outbox.actions))
         };
         for _ in 0..2 {
             let refused = urrcp::ControlResponse {

@@ -21,7 +21,7 @@ fn identity_version_and_description_are_checked_once_reported() {
         (false, Verdict::NotChecked, Verdict::NotChecked, Verdict::NotChecked),
         (true, Verdict::Pass("r0".into()), Verdict::Pass("1".into()), Verdict::Pass("fits".into())),
     ] {
-        mission.robots[R0].introduced = introduced;
+        mission.robots[R0].greeted.introduced = introduced;
         assert_eq!(verdict(&mission, Check::Identity, 0), identity);
         assert_eq!(verdict(&mission, Check::Version, 0), version);
         assert_eq!(verdict(&mission, Check::Description, 0), description);
@@ -66,8 +66,8 @@ fn certificate_expiring_within_a_month_is_reported_in_days() {
             .chain([(Some(1), Some("expires in 1 day:")), (Some(-3), Some("expires in 0 days"))])
     {
         let mut mission = asked();
-        mission.robots[R0].introduced = true;
-        mission.robots[R0].certified_until = days.map(|days| at(days * DAY));
+        mission.robots[R0].greeted.introduced = true;
+        mission.robots[R0].identity.certified_until = days.map(|days| at(days * DAY));
         let verdict = verdict(&mission, Check::Identity, 0);
         match (&verdict, expected) {
             (Verdict::Pass(_), None) => {}
@@ -80,7 +80,7 @@ fn certificate_expiring_within_a_month_is_reported_in_days() {
 #[test]
 fn certificate_of_a_replaced_authority_is_reported() {
     let mut mission = asked();
-    mission.robots[R0].introduced = true;
+    mission.robots[R0].greeted.introduced = true;
     let proven =
         |is_of_replaced_authority| Event::Proven { robot: R0, until: None, is_of_replaced_authority };
     for (is_replaced, expected) in [(true, true), (false, false)] {
@@ -106,7 +106,7 @@ fn hardware_passes_once_an_asked_robot_has_responded() {
 fn read_positions_are_counted() {
     let mut mission = asked();
     assert_eq!(verdict(&mission, Check::Position, 0), Verdict::NotChecked);
-    mission.robots[R0].positions = vec![("a".parse().unwrap(), 1.0), ("b".parse().unwrap(), 2.0)];
+    mission.robots[R0].pose.read = vec![("a".parse().unwrap(), 1.0), ("b".parse().unwrap(), 2.0)];
     assert_eq!(verdict(&mission, Check::Position, 0), Verdict::Pass("2 read".into()));
 }
 
@@ -116,7 +116,7 @@ fn robot_seized_from_another_session_is_reported() {
     mission.options.session = Some(Session::named("s".parse().unwrap()));
     mission.robots[R0].connected(at(0));
     mission.robots[R0].named();
-    mission.robots[R0].ownership = super::super::seize::Ownership::Seized;
+    mission.robots[R0].identity.ownership = super::super::seize::Ownership::Seized;
     let text = "ours, taken over from another session";
     assert_eq!(verdict(&mission, Check::Free, 0), Verdict::Warning(text.into()));
 }
@@ -146,11 +146,11 @@ fn readings_are_required_sensors_then_positions_then_shown_devices() {
         state.block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Linear;
         let range = SensorRange::Above(50.0);
         state.settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
-        state.readings = vec![None];
-        state.positions = vec![("a".parse().unwrap(), 44.0)];
-        state.shown = vec![("b".parse().unwrap(), None), ("c".parse().unwrap(), Some(3.0))];
+        state.greeted.readings = vec![None];
+        state.pose.read = vec![("a".parse().unwrap(), 44.0)];
+        state.greeted.shown = vec![("b".parse().unwrap(), None), ("c".parse().unwrap(), Some(3.0))];
         for device in ["eye", "b", "c"] {
-            state.unread.insert(device.parse().unwrap(), "it is dark".to_owned());
+            state.greeted.unread.insert(device.parse().unwrap(), "it is dark".to_owned());
         }
         let readings = preflight::table(&mission, at(0)).rows[0].readings.clone();
         assert_eq!(readings.len(), count);
@@ -169,6 +169,6 @@ fn readings_are_required_sensors_then_positions_then_shown_devices() {
 fn sensors_are_not_checked_if_none_is_required() {
     let mut mission = asked();
     assert!(mission.robots[R0].settings.require.is_empty());
-    mission.robots[R0].readings.clear();
+    mission.robots[R0].greeted.readings.clear();
     assert_eq!(verdict(&mission, Check::Sensors, 0), Verdict::NotChecked);
 }

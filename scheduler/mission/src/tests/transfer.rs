@@ -64,7 +64,7 @@ fn homes_sent(played: &Played) -> usize {
 
 /// The kind of rest that each robot has confirmed.
 fn rests(played: &Played) -> Vec<Option<Rest>> {
-    let rest = |robot: &RobotState| match robot.stop {
+    let rest = |robot: &RobotState| match robot.halt.stop {
         Stop::Confirmed(rest) => Some(rest),
         Stop::None | Stop::Sent(_) => None,
     };
@@ -155,7 +155,7 @@ fn no_robot_goes_home_if_none_can_take_part() {
     let actions = {
         let failing = vec![(R0, broken()), (R1, broken())];
         played.mission.fail_all(played.now, failing);
-        std::mem::take(&mut played.mission.actions)
+        std::mem::take(&mut played.mission.outbox.actions)
     };
     played.carry_out(actions);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
@@ -233,7 +233,7 @@ fn other_robots_go_home_after_a_failure_and_the_failed_one_stays() {
     let (mut played, _) = plays(Ok(true), OnFailure::Home);
     let actions = {
         played.mission.fail(played.now, R1, broken());
-        std::mem::take(&mut played.mission.actions)
+        std::mem::take(&mut played.mission.outbox.actions)
     };
     played.carry_out(actions);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
@@ -249,7 +249,7 @@ fn no_robot_goes_home_while_one_may_still_move() {
     played.mission.robots[R1].settings.clock = ClockMode::Ntp;
     let still: Vec<_> = vec![None];
     says(&mut played, Rest::Home);
-    played.mission.robots[R1].left = still;
+    played.mission.robots[R1].halt.left = still;
     played.run_until(played.now + ms(60_000));
     assert!(planner.from.lock().unwrap().is_empty());
     assert!(
@@ -271,10 +271,10 @@ fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
     after.name = "after".to_owned();
     then.acts.push(after);
-    played.mission.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
+    played.mission.course.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
     let failed = (Outcome::Failed, "broken".to_owned());
     played.mission.abort_because(played.now, failed, rest, Some(ActIndex::new(1)));
-    let actions = std::mem::take(&mut played.mission.actions);
+    let actions = std::mem::take(&mut played.mission.outbox.actions);
     played.carry_out(actions);
 }
 
@@ -402,7 +402,7 @@ fn robot_that_confirms_its_stop_late_plays_the_next_act() {
         *at > goes_on && *robot == R1 && moves
     };
     let sent = played.sent.iter().any(script);
-    let stop = &played.mission.robots()[R1].stop;
+    let stop = &played.mission.robots()[R1].halt.stop;
     assert!(sent && matches!(stop, Stop::None), "{sent}, {stop:?}");
     assert_eq!(fates(&played)[1], ActFate::Played);
 }

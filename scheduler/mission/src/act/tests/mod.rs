@@ -272,7 +272,7 @@ impl Bench {
     fn ask(&mut self, robot: RobotIndex) {
         let hushed = self.act.holds_messages_to(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
-        self.robots[robot].questions.asked(self.now);
+        self.robots[robot].contact.questions.asked(self.now);
         let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now, None));
         self.asked.push(Question { at: self.now, stage, robot, named });
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
@@ -282,7 +282,7 @@ impl Bench {
     fn answer(&mut self, robot: RobotIndex, asked: Timestamp<Server>) {
         let there = by_robot(asked + ROUND_TRIP / 2);
         self.robots[robot].clock.add(ClockSample::from_exchange(asked, there, there, self.now));
-        self.robots[robot].questions.answer(asked);
+        self.robots[robot].contact.questions.answer(asked);
         self.robots[robot].heard(self.now);
         if !self.robots[robot].takes_inquiries() {
             return;

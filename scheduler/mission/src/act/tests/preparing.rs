@@ -274,8 +274,8 @@ fn scripts_are_held_since_the_request_answered_with_all_of_them() {
         bench.act.members()[MemberIndex::new(0)].holds_since(&bench.robots[R0], at(since))
     };
     let scripts = bench.scripts_of(R0);
-    bench.robots[R0].questions.asked(at(20));
-    bench.robots[R0].questions.answer(at(20));
+    bench.robots[R0].contact.questions.asked(at(20));
+    bench.robots[R0].contact.questions.answer(at(20));
     bench.report(scripts[0], at(20), RequestState::Held);
     assert!(!holds(&bench, 20), "it has not accepted the other device's first one");
     bench.say(scripts[2], Status::Accepted);
@@ -285,8 +285,8 @@ fn scripts_are_held_since_the_request_answered_with_all_of_them() {
     bench.report(scripts[0], at(30), RequestState::Held);
     bench.report(scripts[2], at(30), RequestState::Held);
     assert!(!holds(&bench, 21), "nothing came in answer to a later question");
-    bench.robots[R0].questions.asked(at(30));
-    bench.robots[R0].questions.answer(at(30));
+    bench.robots[R0].contact.questions.asked(at(30));
+    bench.robots[R0].contact.questions.answer(at(30));
     assert!(holds(&bench, 30));
     bench.break_link(R0);
     assert!(!holds(&bench, 30));
@@ -301,8 +301,8 @@ fn robot_without_inquiry_support_holds_accepted_scripts_while_it_answers() {
     assert!(!holds(&bench, 0));
     bench.say(bench.scripts_of(R0)[0], Status::Accepted);
     assert!(holds(&bench, 1_000), "it has never answered any");
-    bench.robots[R0].questions.asked(at(20));
-    bench.robots[R0].questions.answer(at(20));
+    bench.robots[R0].contact.questions.asked(at(20));
+    bench.robots[R0].contact.questions.answer(at(20));
     assert_eq!([20, 21].map(|since| holds(&bench, since)), [true, false]);
 }
 
