@@ -25,6 +25,7 @@ class Crazyflie(Hardware):
     """Flies a Crazyflie to positions of x, y and z in metres and yaw in degrees. Arms with the first value, and lands at the end."""
 
     extra = "crazyflie"
+    package = "cflib"
     target_help = "address of the drone, such as radio://0/80/2M/E7E7E7E7E7"
     place_help = "x, y, z or yaw; by default the id of the device. Of a sensor: a log variable, such as pm.vbat"
     moves_per_second = 50.0
@@ -56,7 +57,7 @@ class Crazyflie(Hardware):
         self.failure = "it does not answer"
         self.drone.connected.add_callback(lambda _: ready.set())
         self.drone.connection_failed.add_callback(lambda _, reason: self._fail(reason, ready))
-        self.drone.connection_lost.add_callback(lambda _, reason: self._ended or self.fault(f"the link to the drone is lost: {reason}"))
+        self.drone.connection_lost.add_callback(lambda _, reason: self._ended or self.fault(f"the link to the drone is lost: {reason.splitlines()[0]}"))
         self.drone.open_link(self.options.target)
         if not ready.wait(8) or not self.drone.is_connected():
             raise ConnectionError(f"{self.options.target}: {self.failure.splitlines()[0]}")

@@ -27,6 +27,7 @@ class Dynamixel(Hardware):
     """Moves Dynamixel servos with protocol 2.0; those that are due at the same instant in one packet. 0 degrees are the middle."""
 
     extra = "dynamixel"
+    package = "dynamixel-sdk"
     target_help = "the serial port, such as /dev/ttyUSB0"
     place_help = "id of the servo, 0 to 252; a sensor reads the position of the servo"
 

@@ -46,6 +46,8 @@ class Hardware(Driver):
 
     extra: Optional[str] = None
     """Name of the optional dependency, if the driver needs a package."""
+    package: Optional[str] = None
+    """Name of this package on PyPI."""
     target_help = ""
     """Describes the first argument: the port or address of the hardware."""
     place_help = ""
@@ -108,7 +110,7 @@ class Hardware(Driver):
         try:
             return importlib.import_module(name)
         except ImportError as error:
-            raise Refused(f"{error}; install the package by pip install 'downbeat-driver[{self.extra}]'") from error
+            raise Refused(f"{error}; install the package: pip install {self.package}") from error
 
     def ask_until_answered(self, seconds: float) -> None:
         """Asks until the hardware answers. Raises `Lost` if it does not within this time."""

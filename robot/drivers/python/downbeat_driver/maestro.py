@@ -21,6 +21,7 @@ class Maestro(Hardware):
     """Moves hobby servos by a Pololu Maestro in the serial mode `USB Dual Port` or `UART`."""
 
     extra = "serial"
+    package = "pyserial"
     target_help = "the command port of the controller, such as /dev/ttyACM0"
     place_help = PLACE_HELP
     moves_per_second = 50.0

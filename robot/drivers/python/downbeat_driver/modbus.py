@@ -31,6 +31,7 @@ class Modbus(Hardware):
     """Writes values into the registers and coils of a Modbus device, over TCP or a serial line."""
 
     extra = "modbus"
+    package = "pymodbus"
     target_help = "HOST or HOST:PORT for Modbus TCP, or the serial port for Modbus RTU, such as /dev/ttyUSB0"
     place_help = "ADDRESS:TYPE*SCALE of a register, such as 40:int16*10; h40 is a holding register, i40 an input register, c40 a coil"
 

@@ -20,6 +20,7 @@ class Mqtt(Hardware):
     """Publishes each value to a topic of an MQTT broker, as a number or in a JSON object, and reads sensors from topics."""
 
     extra = "mqtt"
+    package = "paho-mqtt"
     target_help = "HOST or HOST:PORT of the broker"
     place_help = "TOPIC, or TOPIC:KEY for JSON objects with this key; by default ROBOT/DEVICE"
     moves_per_second = 20.0

@@ -19,6 +19,7 @@ class OpcUa(Hardware):
     """Writes values into the variables of an OPC UA server; values that are due at the same instant in one request."""
 
     extra = "opcua"
+    package = "asyncua"
     target_help = "address of the server, such as opc.tcp://plc.local:4840"
     place_help = "id of the variable, such as ns=2;s=Arm.Target; quote it, because the shell splits commands at `;`"
     moves_per_second = 50.0

@@ -20,6 +20,7 @@ class Pca9685(Hardware):
     """Moves hobby servos by a PCA9685, a 16-channel pulse generator on an I2C bus."""
 
     extra = "pca9685"
+    package = "smbus2"
     target_help = "number or path of the I2C bus, such as 1 or /dev/i2c-1"
     place_help = PLACE_HELP
     moves_per_second = 50.0

@@ -15,6 +15,7 @@ class SerialLine(Hardware):
     """Sends a line of text for each value to a microcontroller, such as an Arduino, and expects an answer to each."""
 
     extra = "serial"
+    package = "pyserial"
     target_help = "the serial port, such as /dev/ttyACM0"
     place_help = "the name of the device in the lines; by default its id"
 

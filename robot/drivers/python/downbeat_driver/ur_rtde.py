@@ -21,6 +21,7 @@ class UrRtde(Hardware):
     """Moves the joints of an arm of Universal Robots, which must be in remote control, by `servoJ`."""
 
     extra = "ur_rtde"
+    package = "ur-rtde"
     target_help = "host name or IP address of the controller"
     place_help = f"one of {', '.join(JOINTS)}; by default the id of the device. Of a sensor: the joint that it measures"
     moves_per_second = 125.0

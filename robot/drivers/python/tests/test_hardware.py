@@ -81,8 +81,8 @@ class Places(unittest.TestCase):
 
     def test_a_missing_package_is_named_with_its_installation(self):
         driver = Recorder()
-        driver.extra = "dynamixel"
-        with self.assertRaisesRegex(Refused, r"install the package by pip install 'downbeat-driver\[dynamixel\]'"):
+        driver.package = "dynamixel-sdk"
+        with self.assertRaisesRegex(Refused, "No module named 'no_such_module'; install the package: pip install dynamixel-sdk"):
             driver.module("no_such_module")
 
 
