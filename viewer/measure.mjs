@@ -17,13 +17,15 @@ console.log(`page code: ${(gzipSync(empty, { level: 9 }).length / 1000).toFixed(
 console.log(`mission: ${robots} robots, ${mission.steps} steps; file: ${(html.length / 1e6).toFixed(1)} MB`);
 
 const browser = await launch();
-const { page, complaints } = await browser.open(html);
-await page.waitForSelector(".timeline-canvas");
+const { page, complaints } = await browser.open(html, { address: "#t=0&mode=show" });
+await page.waitForSelector(".hero");
 const load = await page.evaluate(
   () => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(performance.now())))),
 );
 console.log(`usable after ${Math.round(load)} ms (since the navigation began, first picture drawn)`);
 
+await page.keyboard.press("e");
+await page.waitForSelector(".timeline-canvas");
 await frames("pan, everything folded", "Shift+ArrowRight", 8);
 await frames("zoom, everything folded", "+", 0);
 await page.keyboard.press("u");
@@ -42,7 +44,26 @@ console.log(
   `memory after garbage collection: heap ${(usedSize / 1e6).toFixed(1)} MB, array buffers ${(backingStorageSize / 1e6).toFixed(1)} MB`,
 );
 if (complaints.length > 0) console.log(complaints);
+await played(1000);
 await browser.close();
+
+/** Plays drones with lamps in the show, and counts the frames. */
+async function played(drones) {
+  const { base64 } = large({ robots: drones, steps: 4000, lamps: true });
+  const { page } = await browser.open(await pageWith(base64), { address: "#mode=show&t=1&view=space" });
+  await page.waitForSelector(".hero");
+  await page.keyboard.press("l");
+  const count = await page.evaluate(async () => {
+    const end = performance.now() + 4000;
+    let frames = 0;
+    while (performance.now() < end) {
+      await new Promise(requestAnimationFrame);
+      frames++;
+    }
+    return frames;
+  });
+  console.log(`${drones} drones with lamps play at ${(count / 4).toFixed(0)} frames a second`);
+}
 
 /** From the key to the end of the frame that it causes; every so often the direction changes. */
 async function frames(name, key, zoomFirst) {

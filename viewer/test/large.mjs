@@ -4,8 +4,9 @@ import { Columns, encode } from "./encode.mjs";
 const INTERVAL_MS = 20;
 const DEVICES = ["x", "y", "z", "lamp"];
 
-/** `steps` are per robot, distributed over its devices. `spike`: one step of the first device has an extreme value. */
-export function large({ robots, steps, spike = null }) {
+/** `steps` are per robot, distributed over its devices. `spike`: one step of the first device has an extreme value. `lamps`: the last device is
+ * a lamp of three colours. */
+export function large({ robots, steps, spike = null, lamps = false }) {
   const columns = new Columns();
   const count = Math.round(steps / DEVICES.length);
   const duration = count * INTERVAL_MS;
@@ -21,15 +22,17 @@ export function large({ robots, steps, spike = null }) {
           ? 40
           : size * Math.sin(phase + (2 * Math.PI * t) / period) + (robot % 10) + noise(),
       );
-      lanes.push({
-        robot,
-        device,
-        control: "position",
-        value: 0,
-        worst_error: 0.002,
-        worst_at: 0,
-        scripts: [{ start: 0, steps: columns.series(times, values) }],
-      });
+      const lane = { robot, device, control: "position", value: 0, worst_error: 0.002, worst_at: 0 };
+      if (lamps && DEVICES[device] === "lamp") {
+        // Red, green and blue, which change twice a second.
+        for (const value of [0, 1, 2]) {
+          const changes = Array.from({ length: Math.ceil(duration / 500) }, (_, i) => 500 * i);
+          const steps = columns.series(changes, changes.map((_, i) => 85 * ((i + robot + value) % 4)));
+          lanes.push({ ...lane, value, scripts: [{ start: 0, steps }] });
+        }
+        return;
+      }
+      lanes.push({ ...lane, scripts: [{ start: 0, steps: columns.series(times, values) }] });
     });
   }
   const mission = {

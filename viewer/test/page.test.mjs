@@ -89,8 +89,9 @@ test("with forced colours, every view works and axe finds nothing", async () => 
 
 test("every view can be reached and left with the keyboard alone", async () => {
   const { page, complaints, close } = await open("show", {});
-  for (const [key, mode] of [["g", "check"], ["e", "engineer"], ["s", "show"]]) {
-    await page.keyboard.press(key);
+  for (const [name, mode] of [["Check (G)", "check"], ["Engineer (E)", "engineer"], ["Show (S)", "show"]]) {
+    await page.getByRole("button", { name }).focus();
+    await page.keyboard.press("Enter");
     await page.waitForSelector(`main.${mode}-mode`);
     // The focus passes through the whole view and comes out at its end.
     const seen = new Set();

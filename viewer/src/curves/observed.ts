@@ -7,6 +7,8 @@ import type { Plot } from "./plot";
 
 /** Pixels that each mark needs to be drawn at full size. */
 const ROOM_OF_MARK = 9;
+/** Pixels below which values that were set are not drawn. */
+const LEAST_ROOM = 6;
 
 export function drawObserved(sheet: Sheet, plot: Plot, show: Show): void {
   for (const kind of ["set", "read"] as const) {
@@ -18,6 +20,9 @@ function drawMarks({ context, palette }: Sheet, plot: Plot, show: Show, wave: Wa
   const { scale, y } = plot;
   const first = wave.from(scale.view.from);
   const end = wave.from(scale.view.to);
+  // Marks without room would hide the line; the deviations are listed.
+  const room = end > first ? (scale.x(wave.time(end - 1)) - scale.x(wave.time(first))) / (end - first) : 0;
+  if (kind === "set" && end - first > 1 && room < LEAST_ROOM) return;
   const size = (end - first) * ROOM_OF_MARK < scale.width ? 3.5 : 1.5;
   let before = { x: -10, y: -10 };
   context.strokeStyle = kind === "set" ? palette.set : palette.read;

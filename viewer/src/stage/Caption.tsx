@@ -3,7 +3,6 @@ import { nameOfAct } from "../data/fate";
 import type { PlacedCue, Show } from "../data/show";
 import { useCell } from "../state/cell";
 import { useSession } from "../state/session";
-import { shortClock } from "../text/amount";
 import { Name } from "../text/Name";
 import { visible } from "../text/visible";
 
@@ -34,7 +33,7 @@ export function Caption() {
       {now.map(({ index, cue }) => cue.note && <div key={index} class="caption-note"><Name text={cue.note} /></div>)}
       {next !== null && (
         <div class="caption-next">
-          next: <Name text={next.cue.name} /> in {shortClock(next.start - at)}
+          next: <Name text={next.cue.name} /> in {Math.ceil((next.start - at) / 1000)} s
         </div>
       )}
       {robot !== null && (

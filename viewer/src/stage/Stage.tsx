@@ -54,7 +54,7 @@ export function Stage({ hero = false }: { hero?: boolean }) {
     preset.value = next;
   };
   useEffect(() => {
-    if (painted.current !== null) painter.current = Painter.on(painted.current);
+    if (painted.current !== null) painter.current = Painter.on(painted.current, show.mission.robots.length);
     if (canvas.current === null) return;
     const stops = [
       preset.subscribe(() => (moved.value = null)),

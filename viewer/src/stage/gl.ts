@@ -21,6 +21,11 @@ const SOLID = {
     }`,
 };
 
+/** More bodies are drawn with fewer triangles and without smooth edges, so that they move fluently without a graphics card. */
+const MANY = 150;
+/** Radius in pixels. */
+const SMALLEST = 2;
+
 const LINE = {
   vertex: `
     attribute vec3 position; attribute vec4 tint; uniform mat4 view; varying vec4 vTint;
@@ -35,7 +40,7 @@ const GLOW = {
     uniform mat4 view; uniform float focal; uniform float sharpness; varying vec3 vTint;
     void main() {
       vec4 spot = view * vec4(position, 1.0);
-      float size = clamp(radius * focal / spot.w * 9.0, 22.0, 150.0);
+      float size = clamp(radius * focal / spot.w * 9.0, 20.0, 150.0);
       vTint = tint.rgb;
       gl_Position = spot;
       gl_Position.z -= tint.a * spot.w * 0.002 + radius * 0.02;
@@ -66,19 +71,20 @@ export class Painter {
   private readonly glows: Batch;
   private readonly beams: Batch;
 
-  /** `null` if the browser has no WebGL. */
-  static on(canvas: HTMLCanvasElement): Painter | null {
+  /** `null` if the browser has no WebGL. `bodies`: how many bodies will be drawn. */
+  static on(canvas: HTMLCanvasElement, bodies: number): Painter | null {
+    const many = bodies > MANY;
     // The renderer would report a failure on the console.
-    const context = canvas.getContext("webgl2", { alpha: false, antialias: true, depth: true });
-    return context === null ? null : new Painter(canvas);
+    const context = canvas.getContext("webgl2", { alpha: false, antialias: !many, depth: true });
+    return context === null ? null : new Painter(canvas, many);
   }
 
-  private constructor(canvas: HTMLCanvasElement) {
-    this.renderer = new Renderer({ canvas, antialias: true });
+  private constructor(canvas: HTMLCanvasElement, many: boolean) {
+    this.renderer = new Renderer({ canvas, antialias: !many });
     this.gl = this.renderer.gl;
     const solid = new Program(this.gl, { ...SOLID, uniforms: { view: { value: [] } }, cullFace: false, transparent: true });
     this.shapes = {
-      ball: new Instances(this.gl, solid, ballShape()),
+      ball: new Instances(this.gl, solid, ballShape(many ? 5 : 10, many ? 8 : 16)),
       box: new Instances(this.gl, solid, boxShape()),
       tube: new Instances(this.gl, solid, tubeShape()),
     };
@@ -105,13 +111,15 @@ export class Painter {
     this.gl.clear(this.gl.COLOR_BUFFER_BIT | this.gl.DEPTH_BUFFER_BIT);
     const view = matrixOf(camera, width, height);
     const focal = camera.map ? Math.min(width, height) / 2 / camera.reach : (Math.min(width, height) / 2) * 4;
-    this.drawSolids(scene.solids, view);
+    this.drawSolids(scene, view, Math.min(width, height) / 2 / camera.reach);
     this.drawLines(scene, view);
     this.beams.draw(view, beamData(scene.beams), focal, sharpness);
     this.glows.draw(view, glowData(scene.glows), focal, sharpness);
   }
 
-  private drawSolids(solids: readonly Solid[], view: number[]): void {
+  /** A lit body of a pixel or less is hidden in its own light. */
+  private drawSolids({ solids, glows }: Scene, view: number[], scale: number): void {
+    const lit = new Set(glows.map(({ robot }) => robot));
     const models: Record<Shape, number[]> = { ball: [], box: [], tube: [] };
     const tints: Record<Shape, number[]> = { ball: [], box: [], tube: [] };
     const add = (shape: Shape, model: number[], solid: Solid) => {
@@ -119,6 +127,7 @@ export class Painter {
       tints[shape].push(...solid.colour, solid.hollow ? 0.35 : 1);
     };
     for (const solid of solids) {
+      if (solid.kind === "ball" && solid.radius * scale < SMALLEST && lit.has(solid.robot)) continue;
       if (solid.kind === "ball") add("ball", scaledAt(solid.at, solid.radius), solid);
       else if (solid.kind === "box") add("box", boxAt(solid.frame.rows, solid.frame.origin, solid.size), solid);
       else {
@@ -298,8 +307,7 @@ function tubeAt(from: Point, to: Point, radius: number): number[] {
   return [...thick(u), ...thick(v), ...way, 0, ...from, 1];
 }
 
-function ballShape(): Vertices {
-  const [rings, sides] = [10, 16];
+function ballShape(rings: number, sides: number): Vertices {
   const shape: Vertices = { position: [], normal: [], index: [] };
   for (let i = 0; i <= rings; i++)
     for (let j = 0; j <= sides; j++) {

@@ -57,6 +57,8 @@ export interface SceneOptions {
 const TRAIL_MS = 3000;
 const TRAIL_PARTS = 40;
 const TRAIL_POINTS = 4000;
+/** The trails of more bodies would hide them. */
+const TRAILED = 200;
 
 const DARK: Colour = [0.13, 0.14, 0.17];
 const GRID: Colour = [0.55, 0.62, 0.75];
@@ -75,7 +77,7 @@ export function sceneAt(show: Show, ms: number, options: SceneOptions): Scene {
     const colour: Colour = lit.has(pose.robot) ? shaded(light?.colour ?? [0, 0, 0]) : colourOf(pose.robot);
     addSolids(scene, pose, colour);
     if (light !== undefined && Math.max(...light.colour) > 0) addLight(scene, pose, light.colour, light.beam);
-    if (options.trails && found.length * parts <= 2 * TRAIL_POINTS) {
+    if (options.trails && found.length <= TRAILED) {
       const trail = trailOf(show, pose, ms, parts);
       if (trail !== null) scene.lines.push({ points: trail, colour: light === undefined ? colour : brightened(light.colour), alpha: 0.35 });
     }

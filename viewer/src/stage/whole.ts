@@ -43,9 +43,16 @@ function sample(show: Show): Extent {
   return extent;
 }
 
+let latest: { show: Show; key: string; camera: Camera } | null = null;
+
+/** Cached, because every frame requests the same camera. */
 export function seesAll(show: Show, preset: Preset, width: number, height: number): Camera {
-  const { points, room } = extentOf(show);
-  return fitted(points, preset, Math.max(1, width), Math.max(1, height), room);
+  const key = `${preset} ${width} ${height}`;
+  if (latest?.show !== show || latest.key !== key) {
+    const { points, room } = extentOf(show);
+    latest = { show, key, camera: fitted(points, preset, Math.max(1, width), Math.max(1, height), room) };
+  }
+  return latest.camera;
 }
 
 /** Lights in the air are seen from the audience; everything else obliquely from above. */
