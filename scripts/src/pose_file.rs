@@ -139,7 +139,7 @@ mod tests {
         let fleet = Fleet { robots, ..Fleet::default() };
         let text = "scenario: show\ninclude: poses.yaml\ncues: [{at: 0s, robots: arm, move: ready now, parameters: {time: 3s}}]\n";
         let source = Source { name: "show.yaml".into(), text: text.into() };
-        let compiled = compile(&source, &fleet, &Folder::new(folder.path()));
+        let compiled = compile(&source, &fleet, &Folder::new(folder.path().to_path_buf()));
         let show = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings));
         let scripts = &show.acts[0].plan.robots[0].scripts;
         let last = |index: usize| {

@@ -324,7 +324,7 @@ pub(super) struct Late {
     pub(super) robot: usize,
     pub(super) device: usize,
     /// Number of the act.
-    pub(super) act: u32,
+    pub(super) act: ActNumber,
     /// The steps were due within this time.
     pub(super) from: f64,
     pub(super) to: f64,
