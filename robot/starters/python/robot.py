@@ -84,7 +84,10 @@ class Fields:
         for key, check in checks.items():
             setattr(self, key, body.get(key))
             need(key not in required if body.get(key) is None else check(body[key]), f"{key} is missing or wrong")
-        self.further = any(key.startswith("control_value_") and body[key] is not None for key in body)
+        further = {key: body[key] for key in body if key.startswith("control_value_") and body[key] is not None}
+        known = further.keys() == {f"control_value_{n + 2}" for n in range(len(further))} and all(map(number, further.values()))
+        need("control_value" not in checks or known and len(further) < 256, "control_value_N is a number, N from 2 to 256 without gaps")
+        self.further = further
 
 class Command(Fields):
     """A control request; after its acceptance, a command that is held until it ends."""
