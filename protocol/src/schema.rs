@@ -24,16 +24,19 @@ use crate::time::{Millis, Timestamp};
 /// ```
 /// let schema = urrcp::message_schema();
 /// assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+/// assert_eq!(schema["$id"], "urn:urrcp:messages:1.0");
 /// assert!(schema["$defs"]["ControlRequest"].is_object());
 /// ```
 #[must_use]
 pub fn message_schema() -> Value {
-    SchemaSettings::draft2020_12()
-        .for_deserialize()
-        .into_generator()
-        .into_root_schema_for::<Message>()
-        .to_value()
+    let settings = SchemaSettings::draft2020_12().for_deserialize();
+    let mut schema = settings.into_generator().into_root_schema_for::<Message>();
+    schema.insert("$id".to_owned(), SCHEMA_ID.into());
+    schema.to_value()
 }
+
+/// The identifier of the schema, with the version of the protocol.
+const SCHEMA_ID: &str = "urn:urrcp:messages:1.0";
 
 /// Regular expression for the control types that a script step may use.
 const MOTION: &str = "^(position|speed|acceleration|custom_(0|[1-9][0-9]{0,9}))$";

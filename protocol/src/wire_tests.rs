@@ -157,15 +157,35 @@ fn message_beyond_the_limits_is_refused_with_its_path() {
         "0 devices, expected 1 to 32000",
     );
     check_invalid(
-        r#"{"initialization_block":{"id":"r","api_version":"1","type":"Toy","devices":[]}}"#,
-        "initialization_block.type",
-        "unknown variant `Toy`",
-    );
-    check_invalid(
         r#"{"initialization_block":{"id":"r","api_version":"1","devices":[{"id":"d","name":"d","available_control_types":{"position":{"min_value":1,"max_value":0,"granularity":1}}}]}}"#,
         "initialization_block.devices[0].available_control_types.position",
         "min_value 1 is greater than max_value 0",
     );
+}
+
+#[test]
+fn words_of_a_later_version_are_skipped_in_messages_and_refused_elsewhere() {
+    let block = r#"{"id":"r","type":"Dancer","api_version":"1.7","devices":[
+        {"id":"d","interpolation":"cubic","available_control_types":{
+            "torque":{"limit":[1,{"peak":2}]},
+            "position":{"min_value":0,"max_value":1,"granularity":0.5},
+            "script":{"max_number_of_steps":4,"control_types":["torque","position"]}}},
+        {"id":"e","available_control_types":{"torque":{},"script":{"max_number_of_steps":4}}}]}"#;
+    let message = decode_one(&format!("{{\"initialization_block\":{}}}", block.replace('\n', ""))).unwrap();
+    let Message::InitializationBlock(read) = message else { panic!("{message:?}") };
+    assert_eq!(read.robot_type, Some(RobotType::Other));
+    let [first, second] = [&read.devices[0], &read.devices[1]];
+    assert_eq!(first.interpolation, Interpolation::Hold);
+    assert_eq!(first.script_control_types(), [ControlType::Position]);
+    assert_eq!(first.available_control_types.iter().count(), 2);
+    assert_eq!(second.available_control_types.iter().count(), 0);
+    for alone in [
+        r#"{"id":"r","type":"Dancer","api_version":"1","devices":[{"id":"d","available_control_types":{}}]}"#,
+        r#"{"id":"r","api_version":"1","devices":[{"id":"d","interpolation":"cubic","available_control_types":{}}]}"#,
+        r#"{"id":"r","api_version":"1","devices":[{"id":"d","available_control_types":{"torque":{}}}]}"#,
+    ] {
+        assert!(serde_json::from_str::<InitializationBlock>(alone).is_err(), "{alone}");
+    }
 }
 
 #[test]

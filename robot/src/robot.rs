@@ -158,6 +158,17 @@ pub struct Robot {
 
 type Now = Timestamp<urrcp::Robot>;
 
+/// Whether a server sends messages of this kind. A robot ignores all others.
+const fn is_of_server(message: &Message) -> bool {
+    matches!(
+        message,
+        Message::AvailabilityRequest(_)
+            | Message::InitializationRequest(_)
+            | Message::ControlRequest(_)
+            | Message::Inquiry(_)
+    )
+}
+
 impl Robot {
     /// Creates a robot at rest from its initialization block.
     #[must_use]
@@ -291,6 +302,9 @@ impl Robot {
             Input::Proven(proof) => self.parties.proven(link, proof),
             Input::Barred { serial, why } => self.bar(now, &serial, why, out),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
+            Input::Message(message) if !is_of_server(&message) => {
+                tracing::debug!(robot = %self.block.id, "ignored a message that no server sends");
+            }
             Input::Message(message) => {
                 if matches!(message, Message::Inquiry(_)) {
                     self.release_if_over(now);
@@ -382,7 +396,7 @@ impl Robot {
             }
             Message::ControlRequest(request) => self.control(now, link, request, None, out),
             Message::Inquiry(inquiry) => self.inquire(now, link, &inquiry, out),
-            _ => tracing::debug!(robot = %self.block.id, "ignored a message that no server sends"),
+            _ => {}
         }
     }
 

@@ -13,7 +13,7 @@ use stage::session::root;
 use sentences::sentences;
 
 const TABLE: &str = include_str!("promises/table.txt");
-const DOCUMENTS: [&str; 2] = ["docs/mission.md", "docs/protocol.md"];
+const DOCUMENTS: [&str; 4] = ["docs/mission.md", "docs/protocol.md", "docs/transport.md", "docs/proof.md"];
 
 /// A row of `promises/table.txt`: a sentence and its judges, which detect violations of the sentence.
 struct Row {

@@ -20,6 +20,8 @@ struct Vector {
     device_id: Option<String>,
     request_id: Option<String>,
     schema: Option<String>,
+    /// `may`: a robot decides itself whether it refuses the line.
+    robot: Option<String>,
     why: String,
 }
 
@@ -109,6 +111,26 @@ fn invalid_lines_are_refused_with_affected_device_and_request() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+/// Whether only a robot sends messages with this beginning.
+fn is_of_robot(bytes: &[u8]) -> bool {
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(60)]).into_owned();
+    head.contains("_response") || head.contains("initialization_block")
+}
+
+#[test]
+fn conformance_test_sends_every_invalid_message_of_a_server() {
+    let invalid =
+        vectors().into_iter().filter(|vector| vector.verdict == "invalid" && vector.robot.is_none());
+    let lines = invalid.map(|vector| vector.bytes()).filter(|bytes| !is_of_robot(bytes));
+    let texts: Vec<String> = lines.map(|bytes| bytes.into_iter().map(char::from).collect()).collect();
+    let path = root().join("scheduler/conformance/src/vectors.json");
+    let listed: Vec<String> = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+    if std::env::var_os("DOWNBEAT_BLESS").is_some() && listed != texts {
+        return fs::write(path, serde_json::to_string_pretty(&texts).unwrap() + "\n").unwrap();
+    }
+    assert!(listed == texts, "{} lists other messages than tests/vectors/index.json", path.display());
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use serde::de::{self, MapAccess, Visitor};
+use serde::de::{self, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
+use super::growth::Word;
 use super::parameters::Parameters;
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
@@ -239,8 +240,18 @@ struct WrittenScript {
     #[serde(default, with = "number::optional")]
     max_error: Option<f64>,
     max_number_of_steps: u32,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "listed")]
     control_types: Option<Vec<ControlType>>,
+}
+
+/// Deserializes the control types that scripts may use, without those of a later version.
+fn listed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<ControlType>>, D::Error> {
+    let known = |word| match word {
+        Word::Known(control_type) => Some(control_type),
+        Word::Later => None,
+    };
+    let words = Option::<Vec<Word<ControlType>>>::deserialize(deserializer)?;
+    Ok(words.map(|words| words.into_iter().filter_map(known).collect()))
 }
 
 /// The reason why the parameters of a script are incomplete or invalid.
@@ -460,7 +471,13 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlTypes, A::Error> {
         let mut types = BTreeMap::new();
         let mut script: Option<WrittenScript> = None;
-        while let Some(control_type) = map.next_key::<ControlType>()? {
+        let mut skipped = false;
+        while let Some(word) = map.next_key::<Word<ControlType>>()? {
+            let Word::Known(control_type) = word else {
+                map.next_value::<IgnoredAny>()?;
+                skipped = true;
+                continue;
+            };
             let parameters = match control_type {
                 // The control types from which the script inherits may come later.
                 ControlType::Script if script.is_none() => {
@@ -483,8 +500,14 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
             }
         }
         if let Some(script) = script {
-            let script = script.inherit(&types).map_err(de::Error::custom)?;
-            types.insert(ControlType::Script, ControlParameters::Script(script));
+            match script.inherit(&types) {
+                Ok(script) => {
+                    types.insert(ControlType::Script, ControlParameters::Script(script));
+                }
+                // Its limits are perhaps those of a control type that was skipped.
+                Err(InheritError::NoSource { .. }) if skipped => {}
+                Err(error) => return Err(de::Error::custom(error)),
+            }
         }
         Ok(ControlTypes(types))
     }

@@ -1,10 +1,11 @@
 //! A device of a robot, and the commands that it accepts.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::Setpoint;
 use super::channels::Channels;
 use super::control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
+use super::growth::Word;
 use super::latency::{self, Latency};
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
@@ -45,7 +46,7 @@ pub struct Device {
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,
     /// How the device moves between script steps (our extension).
-    #[serde(default)]
+    #[serde(default, deserialize_with = "interpolation")]
     pub interpolation: Interpolation,
     /// Maximum number of scripts that the device holds at a time, pending or running (our extension).
     #[serde(default = "one_script")]
@@ -65,6 +66,14 @@ pub struct Device {
     pub channel: Option<Channels>,
     /// The control types by which the device can be driven or read.
     pub available_control_types: ControlTypes,
+}
+
+/// Deserializes an interpolation. A message may contain one of a later version, for which the default applies in this one.
+fn interpolation<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interpolation, D::Error> {
+    Ok(match Word::deserialize(deserializer)? {
+        Word::Known(known) => known,
+        Word::Later => Interpolation::default(),
+    })
 }
 
 const fn one_script() -> u32 {

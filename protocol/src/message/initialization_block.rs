@@ -7,6 +7,7 @@ use std::marker::PhantomData;
 use serde::de::{self, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::growth::Word;
 use super::{Device, Devices, parameters};
 use crate::encoding::Encoding;
 use crate::limits::{DEVICES_MAX, ENCODINGS_MAX, LimitError, ROBOT_PARAMETERS_MAX};
@@ -73,7 +74,7 @@ struct RawBlock {
     id: RobotId,
     #[serde(default)]
     name: Option<Label>,
-    #[serde(default, rename = "type")]
+    #[serde(default, rename = "type", deserialize_with = "robot_type")]
     robot_type: Option<RobotType>,
     #[serde(default)]
     manufacture: Option<Label>,
@@ -90,6 +91,14 @@ struct RawBlock {
     pending_until: bool,
     #[serde(deserialize_with = "devices")]
     devices: Vec<Object<Device>>,
+}
+
+/// Deserializes a type of robots. A message may contain one of a later version, which is [`RobotType::Other`] in this one.
+fn robot_type<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RobotType>, D::Error> {
+    Ok(Option::<Word<RobotType>>::deserialize(deserializer)?.map(|word| match word {
+        Word::Known(known) => known,
+        Word::Later => RobotType::Other,
+    }))
 }
 
 /// Deserializes a list of at most [`ENCODINGS_MAX`] encodings.

@@ -7,6 +7,7 @@ mod control_response;
 mod control_types;
 mod device;
 mod devices;
+mod growth;
 mod initialization_block;
 mod inquiry;
 mod latency;
@@ -52,6 +53,7 @@ pub enum Message {
     #[serde(deserialize_with = "object::deserialize")]
     InitializationRequest(InitializationRequest),
     /// Step 4, robot to server: the robot's description.
+    #[serde(deserialize_with = "growth::block")]
     InitializationBlock(InitializationBlock),
     /// Step 5, server to robot: drives, reads or stops one device.
     ControlRequest(ControlRequest),

@@ -6,7 +6,9 @@
 #include <stdbool.h>
 #include <stddef.h>
 
+#ifndef JSON_MAX_NODES
 #define JSON_MAX_NODES 8192 /* values and keys of one text */
+#endif
 #define JSON_MAX_DEPTH 128
 #define JSON_MAX_KEYS 512   /* of one object: each key is compared with all previous ones */
 #define JSON_NONE (-1)

@@ -1216,8 +1216,13 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     struct answer *place = NULL, passing;
     struct device *device = NULL;
     struct command *c = NULL;
-    bool mine = hear(link, r->has_session ? &r->session : NULL, !r->sensor);
+    bool mine, reads;
     int i;
+    for (i = 0; i < device_count; i++)
+        if (same(&devices[i].id, &r->device_id))
+            device = &devices[i];
+    reads = r->sensor && device && device->sensor; /* any server may read a sensor, without claiming the robot */
+    mine = hear(link, r->has_session ? &r->session : NULL, !reads);
     if (r->named && (place = find_answer(&r->request_id)) != NULL) {
         send_answer(link, place);
         return;
@@ -1228,10 +1233,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     passing.request_id = r->request_id;
     passing.device_id = r->device_id;
     passing.status = FAILED;
-    for (i = 0; i < device_count; i++)
-        if (same(&devices[i].id, &r->device_id))
-            device = &devices[i];
-    if (!mine && !(r->sensor && (!device || device->sensor)) && !(stops() && !r->has_session && link->sealed.roles & ROLE_STOP)) {
+    if (!mine && !reads && !(stops() && !r->has_session && link->sealed.roles & ROLE_STOP)) {
         refuse(&passing, "busy", busy_message());
         send_answer(link, &passing);
         return;

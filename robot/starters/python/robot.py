@@ -84,7 +84,10 @@ class Fields:
         for key, check in checks.items():
             setattr(self, key, body.get(key))
             need(key not in required if body.get(key) is None else check(body[key]), f"{key} is missing or wrong")
-        self.further = any(key.startswith("control_value_") and body[key] is not None for key in body)
+        further = {key: body[key] for key in body if key.startswith("control_value_") and body[key] is not None}
+        known = further.keys() == {f"control_value_{n + 2}" for n in range(len(further))} and all(map(number, further.values()))
+        need("control_value" not in checks or known and len(further) < 256, "control_value_N is a number, N from 2 to 256 without gaps")
+        self.further = further
 
 class Command(Fields):
     """A control request; after its acceptance, a command that is held until it ends."""
@@ -326,12 +329,13 @@ class Robot:
         return told
     def control(self, link, c, stops_others):
         c.session = own(link, c.session)
-        busy, now = self.hear(link, c.session, not c.sensor), time.time_ns()    # so that a lease of 0 ends in time
-        busy = None if stops_others else busy
         device = self.devices.get(c.device_id)
+        reads = c.sensor and device and "sensor" in device.types    # any server may, without claiming the robot
+        busy, now = self.hear(link, c.session, not reads), time.time_ns()       # so that a lease of 0 ends in time
+        busy = None if stops_others else busy
         if c.request_id in self.answers:
             return {"control_response": {**self.answers[c.request_id], "timestamp": stamp(now)}}
-        need(not busy or c.sensor and (not device or "sensor" in device.types), busy, "busy")
+        need(not busy or reads, busy, "busy")
         c.sent = instant(c.timestamp) if c.timestamp else -NEVER
         start = c.sent + ns(c.time_offset_to_start) if c.timestamp and c.time_offset_to_start is not None else now
         c.times = [start] + [start + offset for offset in c.offsets]

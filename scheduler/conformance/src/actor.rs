@@ -2,11 +2,13 @@
 
 use urrcp::{ControlType, Device, InitializationBlock, Limits, Setpoint};
 
+use super::requirement::{Unmet, not_applicable};
+
 /// The device that the checks move, with values that it must accept.
 #[derive(Clone, Debug)]
 pub(super) struct Actor {
     pub(super) device: Device,
-    /// The control type of the movement: `position`, `speed` or `acceleration`.
+    /// The control type of the movement: `position`, `speed`, `acceleration`, or a custom type for which the operator has stated a value.
     pub(super) control_type: ControlType,
     pub(super) limits: Limits,
     /// The value at rest: the first acceptable one of the default value, zero, and the middle of the range.
@@ -21,12 +23,44 @@ pub(super) struct Actor {
 const SMALL: f64 = 0.002;
 
 impl Actor {
-    /// Selects the first device that scripts can move, or otherwise the first device that can be moved at all.
-    pub(super) fn choose(block: &InitializationBlock, wanted: Option<&str>) -> Option<Self> {
-        let devices = || block.devices.iter().filter(|d| wanted.is_none_or(|id| d.id.as_str() == id));
-        let mut actors: Vec<Self> = devices().filter_map(Self::of).collect();
+    /// Selects the first device that scripts can move, or otherwise the first device that can be moved at all. With `custom`, a value that
+    /// is safe for custom control types, it selects among the devices with such a type.
+    pub(super) fn choose(
+        block: &InitializationBlock,
+        wanted: Option<&str>,
+        custom: Option<f64>,
+    ) -> Option<Self> {
+        let devices = block.devices.iter().filter(|d| wanted.is_none_or(|id| d.id.as_str() == id));
+        let actor = |device| custom.map_or_else(|| Self::of(device), |value| Self::of_custom(device, value));
+        Self::first(devices.filter_map(actor).collect())
+    }
+
+    /// Selects another device, by the same rule.
+    pub(super) fn other(&self, block: &InitializationBlock) -> Option<Self> {
+        Self::first(
+            block.devices.iter().filter(|device| device.id != self.device.id).filter_map(Self::of).collect(),
+        )
+    }
+
+    fn first(mut actors: Vec<Self>) -> Option<Self> {
         let by_script = actors.iter().position(|actor| actor.in_script);
         (!actors.is_empty()).then(|| actors.swap_remove(by_script.unwrap_or(0)))
+    }
+
+    /// Uses only `value` for the first custom control type of a device, because only the manufacturer knows which values are safe.
+    fn of_custom(device: &Device, value: f64) -> Option<Self> {
+        let is_custom = |t: &ControlType| matches!(t, ControlType::Custom(_));
+        let scripted = device.script_control_types().into_iter().find(is_custom);
+        let any = device.available_control_types.iter().map(|(t, _)| t).find(is_custom);
+        let limits = Limits { min_value: value, max_value: value, granularity: 1.0, max_error: None };
+        Some(Self {
+            device: device.clone(),
+            control_type: scripted.or(any)?,
+            limits,
+            rest: value,
+            near: value,
+            in_script: scripted.is_some(),
+        })
     }
 
     fn of(device: &Device) -> Option<Self> {
@@ -56,18 +90,28 @@ impl Actor {
         Some(Self { device: device.clone(), control_type, limits, rest, near, in_script })
     }
 
+    /// Whether the protocol defines limits for the values of the control type.
+    pub(super) const fn is_bounded(&self) -> bool {
+        !matches!(self.control_type, ControlType::Custom(_))
+    }
+
     /// The smallest and the largest value that the device accepts.
-    pub(super) fn edges(&self) -> (f64, f64) {
+    pub(super) fn edges(&self) -> [f64; 2] {
         let limits = &self.limits;
-        (limits.nearest_settable(limits.min_value), limits.nearest_settable(limits.max_value))
+        [limits.nearest_settable(limits.min_value), limits.nearest_settable(limits.max_value)]
     }
 
     /// Two values that the device must refuse: the multiples of the granularity just below its smallest value and just above its largest
-    /// value.
-    pub(super) fn beyond(&self) -> (f64, f64) {
-        let (low, high) = self.edges();
-        let granularity = self.limits.granularity;
-        (self.limits.nearest(low - granularity), self.limits.nearest(high + granularity))
+    /// value. Returns [`Unmet::NotApplicable`] for a custom control type.
+    pub(super) fn beyond(&self) -> Result<[f64; 2], Unmet> {
+        if !self.is_bounded() {
+            return Err(not_applicable(format!(
+                "only the manufacturer of `{}` knows which values of {} it refuses",
+                self.device.id, self.control_type
+            )));
+        }
+        let ([low, high], granularity) = (self.edges(), self.limits.granularity);
+        Ok([self.limits.nearest(low - granularity), self.limits.nearest(high + granularity)])
     }
 
     /// A control type that the device lacks.
@@ -95,15 +139,15 @@ mod tests {
     fn actor(types: &str) -> Actor {
         let device =
             format!(r#"{{"id":"d","name":"d","default_value":0,"available_control_types":{{{types}}}}}"#);
-        Actor::choose(&block(&device), None).unwrap()
+        Actor::choose(&block(&device), None, None).unwrap()
     }
 
     #[test]
     fn values_are_on_grid_and_within_limits_even_if_limits_are_off_grid() {
         let actor = actor(r#""position":{"min_value":-0.07,"max_value":0.32,"granularity":0.05}"#);
-        let (low, high) = actor.edges();
+        let [low, high] = actor.edges();
         assert!((low + 0.05).abs() < 1e-12 && (high - 0.3).abs() < 1e-12, "{low} {high}");
-        let (below, above) = actor.beyond();
+        let [below, above] = actor.beyond().unwrap();
         assert!((below + 0.1).abs() < 1e-12 && (above - 0.35).abs() < 1e-12, "{below} {above}");
         assert!((actor.rest, actor.near) == (0.0, 0.05));
     }

@@ -1,32 +1,43 @@
 //! Checks of the first four steps of the protocol: the robot's availability, description and clock.
 
-use urrcp::{ControlType, Span};
+use urrcp::{ControlType, InitializationBlock, Span};
 
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::Trial;
 use downbeat_mission::clock::{ClockEstimate, ClockReading, ClockSample};
 
-pub(super) const ALL: [Requirement; 4] = [
+pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "availability",
+        number: "core-1",
         demands: "An availability request is answered with `OK`; originate_timestamp repeats the timestamp of the request, and receive_timestamp is no later than timestamp.",
         section: "Availability",
         check: availability,
     },
     Requirement {
         name: "initialization",
-        demands: "An initialization request is always answered with the same block, which is within all limits.",
+        number: "core-2",
+        demands: "An initialization request is answered with the same block on each connection, and the block is within all limits.",
         section: "Initialization",
         check: initialization,
     },
     Requirement {
+        name: "api-version",
+        number: "core-3",
+        demands: "The api_version is `1` or `1.` followed by a number: this test checks robots of version 1.",
+        section: "Versions (D)",
+        check: api_version,
+    },
+    Requirement {
         name: "skip-handshake",
+        number: "core-4",
         demands: "A control request is processed even if it is the very first message of a connection.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: skip_handshake,
     },
     Requirement {
         name: "clock",
+        number: "core-5",
         demands: "The robot's clock agrees with that of this machine to within 50 ms, plus the uncertainty of the exchange.",
         section: "Availability",
         check: clock,
@@ -90,12 +101,34 @@ fn initialization(trial: &Trial) -> Checked {
             ));
         }
     }
+    if block.pending_until && !block.inquiry {
+        return wrong("`inquiry` with `pending_until`".to_owned());
+    }
     let (_, second) = line.initialization()?;
+    has_block(trial, &second.message)?;
     if second.message == first.message {
         Ok(format!("{} with {}", block.id, downbeat_yaml::render::counted(block.devices.len(), "device")))
     } else {
         Err(differs(&sent, &second.text, "the same block as before"))
     }
+}
+
+/// Checks that the robot sends the same block on a new connection.
+fn has_block(trial: &Trial, block: &InitializationBlock) -> Result<(), Unmet> {
+    let (sent, again) = trial.connect()?.initialization()?;
+    if again.message == *block {
+        return Ok(());
+    }
+    Err(differs(&sent, &again.text, "the same block as on the connection before"))
+}
+
+fn api_version(trial: &Trial) -> Checked {
+    let version = trial.block()?.api_version.as_str();
+    let (major, minor) = version.split_once('.').unwrap_or((version, "0"));
+    if major == "1" && !minor.is_empty() && minor.bytes().all(|digit| digit.is_ascii_digit()) {
+        return Ok(version.to_owned());
+    }
+    Err(Unmet::Failed(format!("the api_version is `{version}`, expected `1` or `1.` followed by a number")))
 }
 
 pub(super) fn skip_handshake(trial: &Trial) -> Checked {

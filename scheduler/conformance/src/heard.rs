@@ -43,7 +43,17 @@ impl SentRequest {
 
 /// The requests sent on one connection, in the order of sending.
 #[derive(Debug, Default)]
-pub(super) struct Exchanges(Vec<SentRequest>);
+pub(super) struct Exchanges {
+    sent: Vec<SentRequest>,
+    /// For each response in the order of arrival, the index of its request and whether the robot held this request afterwards.
+    arrived: Vec<Arrived>,
+}
+
+#[derive(Debug)]
+struct Arrived {
+    request: usize,
+    is_held: bool,
+}
 
 impl Exchanges {
     pub(super) fn ask(
@@ -53,49 +63,57 @@ impl Exchanges {
         text: String,
         sent: Timestamp<Server>,
     ) -> Ticket {
-        self.0.push(SentRequest { id, device, text, sent, unanswered: 1, heard: Vec::new() });
-        Ticket(self.0.len() - 1)
+        self.sent.push(SentRequest { id, device, text, sent, unanswered: 1, heard: Vec::new() });
+        Ticket(self.sent.len() - 1)
     }
 
     /// Adds a request that was sent on another connection, with the responses received so far.
     pub(super) fn adopt(&mut self, asked: SentRequest) -> Ticket {
-        self.0.push(SentRequest { unanswered: 0, ..asked });
-        Ticket(self.0.len() - 1)
+        self.sent.push(SentRequest { unanswered: 0, ..asked });
+        Ticket(self.sent.len() - 1)
     }
 
     pub(super) fn ask_again(&mut self, ticket: Ticket, sent: Timestamp<Server>) {
-        let asked = &mut self.0[ticket.0];
+        let asked = &mut self.sent[ticket.0];
         asked.unanswered += 1;
         asked.sent = sent;
     }
 
     pub(super) fn of(&self, ticket: Ticket) -> &SentRequest {
-        &self.0[ticket.0]
+        &self.sent[ticket.0]
     }
 
     pub(super) fn any_held(&self) -> bool {
-        self.0.iter().any(SentRequest::is_held)
+        self.sent.iter().any(SentRequest::is_held)
     }
 
     /// Assigns a response to its request. Without a `request_id`, an immediate answer belongs to the oldest unanswered request, and a
     /// later report to the oldest held request. Returns the response if no request matches.
     pub(super) fn note(&mut self, heard: Received<ControlResponse>) -> Option<Received<ControlResponse>> {
         let Some(index) = self.find(&heard.message) else { return Some(heard) };
-        let asked = &mut self.0[index];
+        let asked = &mut self.sent[index];
         if !is_report(&heard.message, asked.is_held()) {
             asked.unanswered = asked.unanswered.saturating_sub(1);
         }
         asked.heard.push(heard);
+        let is_held = asked.is_held();
+        self.arrived.push(Arrived { request: index, is_held });
         None
+    }
+
+    /// Whether the robot still held a request when the first response to the request `other` arrived.
+    pub(super) fn is_held_until(&self, ticket: Ticket, other: Ticket) -> bool {
+        let before = self.arrived.iter().take_while(|arrived| arrived.request != other.0);
+        before.filter(|arrived| arrived.request == ticket.0).last().is_some_and(|last| last.is_held)
     }
 
     fn find(&self, response: &ControlResponse) -> Option<usize> {
         if let Some(id) = &response.request_id {
-            return self.0.iter().rposition(|asked| asked.id.as_deref() == Some(id.as_str()));
+            return self.sent.iter().rposition(|asked| asked.id.as_deref() == Some(id.as_str()));
         }
         let of_device = |asked: &&SentRequest| asked.device == response.device_id.as_str();
         let place = |wanted: &dyn Fn(&SentRequest) -> bool| {
-            self.0.iter().position(|asked| of_device(&asked) && wanted(asked))
+            self.sent.iter().position(|asked| of_device(&asked) && wanted(asked))
         };
         let held = place(&|asked| {
             asked.is_held() && !(response.status == Status::Started && asked.has(&Status::Started))

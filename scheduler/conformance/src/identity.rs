@@ -8,53 +8,61 @@ use urrcp::{
 use super::heard::Received;
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
-use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+use super::trial::{LATER_MS, LEASE_MS, Refusable, Shaped, Trial};
 
 pub(super) const ALL: [Requirement; 8] = [
     Requirement {
         name: "request-id",
+        number: "core-48",
         demands: "Every response (acceptance, report or refusal) carries the request_id of its request.",
         section: "Control response",
         check: request_id,
     },
     Requirement {
         name: "repeated-request",
+        number: "core-49",
         demands: "A request that is repeated with the same request_id is answered again and not executed again.",
         section: "Asked twice (D)",
         check: repeated_request,
     },
     Requirement {
         name: "repeated-refusal",
+        number: "core-50",
         demands: "A refused request that is repeated is refused again with the same error code, even if its content differs.",
         section: "Asked twice (D)",
         check: repeated_refusal,
     },
     Requirement {
         name: "kept-answers",
-        demands: "The last answer to a request is kept until 256 others have ended: if the request is repeated before that, the robot repeats the answer and does not execute the request again.",
+        number: "core-51",
+        demands: "The last answer to a request is kept until 256 others have ended, or 8 others if no device accepts scripts: if the request is repeated before that, the robot repeats the answer and does not execute the request again.",
         section: "Asked twice (D)",
         check: kept_answers,
     },
     Requirement {
         name: "no-request-id",
+        number: "core-52",
         demands: "A request without a request_id is processed.",
         section: "Control response",
         check: no_request_id,
     },
     Requirement {
         name: "content-hash",
-        demands: "The content_hash of a request is checked: a correct one is repeated in the response, a wrong one is refused with `malformed`.",
+        number: "core-53",
+        demands: "If a device accepts scripts, the content_hash of a request is checked: a correct one is repeated in the response, a wrong one is refused with `malformed`.",
         section: "Content hash (D)",
         check: content_hash,
     },
     Requirement {
         name: "session",
+        number: "core-54",
         demands: "A robot that belongs to a session refuses other sessions with `busy` and does not reveal the name of its session; once that session has ended, another session can claim the robot.",
         section: "Sessions and connections (D)",
         check: session,
     },
     Requirement {
         name: "session-reading",
+        number: "core-55",
         demands: "If another session requests a reading from a device that is not a sensor, the robot refuses the request with `busy` and does not end any command.",
         section: "Sensors",
         check: session_reading,
@@ -69,7 +77,7 @@ fn request_id(trial: &Trial) -> Checked {
     let id = format!("{}/", trial.fresh_id());
     let long = format!("{id}{}", "\u{44f}".repeat(urrcp::STRING_CHARS_MAX - id.chars().count()));
     set.request_id = RequestId::new(long).ok();
-    let beyond = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    let beyond = trial.refusable(actor).request;
     let mut tickets = vec![line.held(&set)?];
     if trial.reports() {
         line.report(tickets[0], &Status::Ok, trial.patience())?;
@@ -131,21 +139,24 @@ fn repeated_request(trial: &Trial) -> Checked {
 fn repeated_refusal(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
-    line.refuses(&refused, ErrorCode::OutOfRange)?;
-    let right = ControlRequest { request_id: refused.request_id, ..trial.pending(actor) };
-    line.refuses(&right, ErrorCode::OutOfRange).map_err(|unmet| {
-        unmet.within(|why| format!("the same request_id has just been refused with `out_of_range`: {why}"))
+    let Refusable { request, code } = trial.refusable(actor);
+    line.refuses(&request, code.clone())?;
+    let right = ControlRequest { request_id: request.request_id, ..trial.pending(actor) };
+    line.refuses(&right, code.clone()).map_err(|unmet| {
+        unmet.within(|why| format!("the same request_id has just been refused with `{code}`: {why}"))
     })?;
     pass()
 }
 
 /// Number of ended requests whose responses a robot has to remember, to answer repeated requests.
 const KEPT: usize = 256;
+/// The same number for a robot without scripts.
+const KEPT_IN_CORE: usize = 8;
 
 fn kept_answers(trial: &Trial) -> Checked {
     const AT_A_TIME: usize = 15;
     let actor = trial.actor()?;
+    let kept = if trial.accepts_scripts() { KEPT } else { KEPT_IN_CORE };
     let mut line = trial.connect()?;
     let ends = |line: &mut Line, ticket| {
         if trial.reports() {
@@ -158,14 +169,14 @@ fn kept_answers(trial: &Trial) -> Checked {
     let first = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
     ends(&mut line, first)?;
     let mut others = 1;
-    while others < KEPT {
+    while others < kept {
         let set = line.held(&trial.set(actor, actor.rest).leased(LEASE_MS))?;
         others += 1;
         if trial.reports() {
             ends(&mut line, set)?;
         }
-        let refused = || trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
-        let some = (KEPT - others).min(AT_A_TIME);
+        let refused = || trial.refusable(actor).request;
+        let some = (kept - others).min(AT_A_TIME);
         let tickets: Result<Vec<_>, _> = (0..some).map(|_| line.ask(&refused())).collect();
         for ticket in tickets? {
             line.answer(ticket)?;
@@ -184,10 +195,10 @@ fn kept_answers(trial: &Trial) -> Checked {
         _ => again.message.status != Status::Failed,
     };
     if same {
-        Ok(format!("the answer was still remembered after {} other requests", KEPT - 1))
+        Ok(format!("the answer was still remembered after {} other requests", kept - 1))
     } else {
         Err(differs(
-            &format!("the same request again, after {} others: {}", KEPT - 1, line.asked(first).text),
+            &format!("the same request again, after {} others: {}", kept - 1, line.asked(first).text),
             &again.text,
             &format!("the same final response as before: {}", heard.last().map_or("", |last| &last.text)),
         ))
@@ -202,6 +213,7 @@ fn no_request_id(trial: &Trial) -> Checked {
 }
 
 fn content_hash(trial: &Trial) -> Checked {
+    trial.checking_hashes()?;
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let mut requests = vec![trial.set(actor, actor.near).starting_in(LATER_MS).leased(LEASE_MS)];

@@ -14,78 +14,91 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "inquiry",
+        number: "inquiry-1",
         demands: "An inquiry is answered with `OK`, the times of the exchange, and one entry for each request in the same order, with `unknown` for a request that never arrived.",
         section: "Inquiry (D)",
         check: inquiry,
     },
     Requirement {
         name: "inquiry-held",
+        number: "inquiry-2",
         demands: "An accepted request that has not started is reported as `held`, with the time at which it will start.",
         section: "Inquiry (D)",
         check: held,
     },
     Requirement {
         name: "inquiry-running",
+        number: "inquiry-3",
         demands: "A request whose start time has come is reported as `running`, with the number of completed steps and, once it has actually started, the time of that start.",
         section: "Inquiry (D)",
         check: running,
     },
     Requirement {
         name: "inquiry-ended",
+        number: "inquiry-4",
         demands: "A request that has ended is reported as `ended`, with its actual start and the number of completed steps, or with the reason why it was refused or ended early.",
         section: "Inquiry (D)",
         check: ended,
     },
     Requirement {
         name: "inquiry-hash",
+        number: "inquiry-5",
         demands: "The answer to an inquiry contains the content_hash of the accepted request.",
         section: "Inquiry (D)",
         check: hash,
     },
     Requirement {
         name: "inquiry-room",
+        number: "inquiry-6",
         demands: "The room of a device is script_queue minus the number of commands that have not ended; a device that the robot does not have is omitted.",
         section: "Inquiry (D)",
         check: room,
     },
     Requirement {
         name: "inquiry-position",
+        number: "inquiry-7",
         demands: "If the answer to an inquiry states the position of a device, this is the last commanded position.",
         section: "Inquiry (D)",
         check: position,
     },
     Requirement {
         name: "inquiry-no-effect",
+        number: "inquiry-8",
         demands: "An inquiry about held requests and about requests that were never sent does not start, cancel or end any command.",
         section: "Inquiry (D)",
         check: no_effect,
     },
     Requirement {
         name: "inquiry-session",
+        number: "inquiry-9",
         demands: "An inquiry does not claim the robot; if the robot belongs to another session, the answer contains only the error `busy`.",
         section: "Inquiry (D)",
         check: session,
     },
     Requirement {
         name: "lease-inquiry",
+        number: "inquiry-10",
         demands: "An inquiry renews the leases of the server that sends it.",
         section: "Inquiry (D)",
         check: renews,
     },
     Requirement {
         name: "lease-inquiry-pending",
+        number: "inquiry-11",
         demands: "pending_lease can shorten, but not extend, the lease of named requests that have not started; it does not affect other requests.",
         section: "Inquiry (D)",
         check: pending_lease,
     },
     Requirement {
         name: "lease-inquiry-until",
+        number: "inquiry-12",
         demands: "pending_until ends the lease of each named request that has not started by that time on the robot's clock, whatever the robot receives in the meantime; a later inquiry with a different time changes it, and one without a time leaves it unchanged.",
         section: "Inquiry (D)",
         check: pending_until,
     },
     Requirement {
         name: "lease-until",
+        number: "inquiry-13",
         demands: "A control request that has not started by its pending_until ends at that time, whatever the robot receives in the meantime; a request that arrives after its pending_until is refused with `late`.",
         section: "Inquiry (D)",
         check: own_pending_until,
@@ -100,7 +113,7 @@ pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
     if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot does not declare `inquiry`")) }
 }
 
-fn about(requests: &[&ControlRequest]) -> Inquiry {
+pub(super) fn about(requests: &[&ControlRequest]) -> Inquiry {
     let requests = requests.iter().filter_map(|request| request.request_id.clone()).collect();
     Inquiry { requests, ..Inquiry::default() }
 }
@@ -115,7 +128,7 @@ fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestR
 }
 
 /// Sends an inquiry about one request, and checks that the request is in the given state.
-fn in_state(
+pub(super) fn in_state(
     line: &mut Line,
     request: &ControlRequest,
     state: RequestState,
@@ -162,7 +175,7 @@ fn inquiry(trial: &Trial) -> Checked {
 /// Maximum difference due to rounding between a reported and a requested instant. The protocol sends milliseconds as doubles.
 const ROUNDING: Span = Span::from_micros(1);
 
-fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
+pub(super) fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
     let start = request.starts_at().map(Timestamp::assume_clock);
     told.zip(start).is_some_and(|(told, start)| told - start <= ROUNDING && start - told <= ROUNDING)
 }
@@ -256,7 +269,7 @@ fn ended(trial: &Trial) -> Checked {
         return Err(inquired
             .differs("an event_timestamp, steps_done 1 and no error, because the request was completed"));
     }
-    let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    let refused = trial.refusable(actor).request;
     let ticket = line.ask(&refused)?;
     // The requirement `range` checks the refusal itself.
     if line.answer(ticket)?.message.status == Status::Failed {

@@ -5,20 +5,31 @@
 //! connection.
 
 mod actor;
+mod claims;
+mod devices;
+mod forms;
 mod greeting;
 mod heard;
 mod identity;
+mod ids;
 mod inquiries;
+mod instants;
 mod leases;
 mod line;
 mod links;
 mod movement;
+mod order;
 mod owners;
+mod questions;
+mod repeats;
+mod reports;
 mod requirement;
 mod scripts;
 mod security;
+mod silence;
 mod starting;
 mod stopping;
+mod stops;
 mod stream;
 mod trial;
 mod values;
@@ -48,7 +59,9 @@ pub struct Options {
     pub device: Option<String>,
     /// Whether to judge times by the robot's own clock, regardless of its offset from the server's clock.
     pub clock_measured: bool,
-    /// The names of the requirements to check. If the list is empty, all are checked.
+    /// A value that is safe for the custom control types of the device to move. `None`: the device is moved by another type.
+    pub custom: Option<f64>,
+    /// The names or numbers of the requirements to check. If the list is empty, all are checked.
     pub only: Vec<String>,
     /// How the test client proves its identity to the robot.
     pub security: Security,
@@ -62,6 +75,7 @@ impl Default for Options {
             patience: Span::from_millis(2_000),
             tolerance: Span::from_millis(20),
             device: None,
+            custom: None,
             clock_measured: false,
             only: Vec::new(),
             security: Security::Plain,
@@ -75,6 +89,8 @@ impl Default for Options {
 pub struct Examined {
     /// One verdict for each requirement that was checked.
     pub judged: Vec<Judged>,
+    /// Whether the robot has a device that the checks could move. If not, most requirements are not applicable.
+    pub moves: bool,
     /// Whether the operator interrupted the examination.
     pub interrupted: bool,
     /// Whether the robot confirmed at the end that it is at rest.
@@ -94,14 +110,18 @@ pub enum NotExamined {
 
 /// Iterates over all requirements, in the order in which they are checked.
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
-    let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
-    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&owners::ALL);
+    let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&order::ALL).chain(&starting::ALL);
+    let of_time = instants::ALL.iter().chain(&scripts::ALL).chain(&reports::ALL).chain(&leases::ALL);
+    let of_server = silence::ALL.iter().chain(&stopping::ALL).chain(&stops::ALL).chain(&devices::ALL);
+    let of_names = identity::ALL.iter().chain(&ids::ALL).chain(&repeats::ALL);
+    let of_owners = owners::ALL.iter().chain(&claims::ALL).chain(&inquiries::ALL).chain(&questions::ALL);
+    let of_lines = movement::ALL.iter().chain(&wire::ALL).chain(&forms::ALL).chain(&links::ALL);
     of_robot
+        .chain(of_time)
         .chain(of_server)
-        .chain(&inquiries::ALL)
-        .chain(&movement::ALL)
-        .chain(&wire::ALL)
-        .chain(&links::ALL)
+        .chain(of_names)
+        .chain(of_owners)
+        .chain(of_lines)
         .chain(&security::ALL)
 }
 
@@ -133,12 +153,13 @@ pub fn examine(
     trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
     // The check of the greeting may have left a script pending on the robot.
     let _at_rest = trial.settle();
-    let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
+    let mut examined =
+        Examined { judged: Vec::new(), moves: trial.moves(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
         let Options { only, security, .. } = trial.options();
         // A tcp:// address requires no proof of identity.
         let asked_for = !security::is_among(r) || !matches!(security, Security::Plain);
-        (only.is_empty() && asked_for) || only.iter().any(|name| name == r.name)
+        (only.is_empty() && asked_for) || only.iter().any(|name| r.is_called(name))
     };
     let answered = trial.is_alive();
     // The requirement since which the robot no longer answers.
@@ -184,7 +205,13 @@ fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     let why = format!(
         "not checked: since the check `{since}`, the robot has not accepted a connection or has not answered; expected it to keep running"
     );
-    Judged { requirement: requirement.name, verdict: Verdict::Fail, why, millis: 0 }
+    Judged {
+        requirement: requirement.name,
+        number: requirement.number,
+        verdict: Verdict::Fail,
+        why,
+        millis: 0,
+    }
 }
 
 /// Checks one requirement. Returns `None` if the operator interrupts the check.
@@ -200,6 +227,7 @@ fn judge(trial: &Trial, requirement: &'static Requirement) -> Option<Judged> {
     let _at_rest = trial.settle();
     Some(Judged {
         requirement: requirement.name,
+        number: requirement.number,
         verdict,
         why,
         millis: u64::try_from(took).unwrap_or(u64::MAX),

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use urrcp::{
@@ -17,6 +18,8 @@ use super::trial::Trial;
 
 /// Maximum length in bytes of a line from a robot. The initialization block of a robot with 32,000 devices is shorter.
 const LINE_BYTES_MAX: usize = 64 * 1024 * 1024;
+/// The first byte of a frame of the compact encoding.
+const FRAME: u8 = 0xC1;
 /// Read timeout; after each one, the client checks whether the operator has interrupted the examination.
 const SLICE: Duration = Duration::from_millis(50);
 
@@ -334,6 +337,103 @@ impl<'a> Line<'a> {
                 ))
             }
         }
+    }
+
+    /// Checks that the robot still holds a request `millis` milliseconds from now, `because` of this reason. A robot that sends no
+    /// reports is asked by repeating the request.
+    pub(super) fn stays_held(&mut self, ticket: Ticket, millis: i64, because: &str) -> Result<(), Unmet> {
+        self.listen(self.trial.soon(millis), |line| !line.asked(ticket).is_held())?;
+        if !self.trial.reports() && !self.is_known_to_end(ticket)? {
+            return Ok(());
+        }
+        let asked = self.asked(ticket);
+        match asked.heard.last().filter(|_| !asked.is_held()) {
+            None => Ok(()),
+            Some(last) => Err(differs(&asked.text, &last.text, &format!("no end of the command: {because}"))),
+        }
+    }
+
+    /// Repeats a request. Returns whether the robot answers that it has ended.
+    fn is_known_to_end(&mut self, ticket: Ticket) -> Result<bool, Unmet> {
+        let heard = self.asked(ticket).heard.len();
+        self.ask_again(ticket)?;
+        self.nth_answer(ticket, heard)?;
+        Ok(!self.asked(ticket).is_held())
+    }
+
+    /// Checks that a request ends with the error `code`. A robot that sends no reports is asked by repeating the request.
+    pub(super) fn ends(&mut self, ticket: Ticket, code: ErrorCode) -> Result<(), Unmet> {
+        self.ends_by(ticket, code, self.trial.patience())
+    }
+
+    /// Like [`Line::ends`], with the instant at which the end must be known.
+    pub(super) fn ends_by(
+        &mut self,
+        ticket: Ticket,
+        code: ErrorCode,
+        until: Timestamp<Server>,
+    ) -> Result<(), Unmet> {
+        if !self.trial.reports() && self.asked(ticket).is_held() {
+            self.is_known_to_end(ticket)?;
+        }
+        self.failure(ticket, code, until).map(drop)
+    }
+
+    /// Sends `stop`, and checks the report of the command that it ends: its keys, and the number of executed steps.
+    pub(super) fn ends_after(
+        &mut self,
+        ticket: Ticket,
+        stop: &ControlRequest,
+        steps: RangeInclusive<u32>,
+    ) -> Result<(), Unmet> {
+        let stop = self.ask(stop)?;
+        self.answer(stop)?;
+        let report = self.failure(ticket, ErrorCode::Cancelled, self.trial.patience())?;
+        let stated = &report.message;
+        let right = stated.steps_done.is_some_and(|done| steps.contains(&done))
+            && stated.event_timestamp.is_some()
+            && report.text.contains("\"status_value\":null");
+        if right {
+            return Ok(());
+        }
+        let expected = format!(
+            "status_value null, an event_timestamp, and steps_done from {} to {}",
+            steps.start(),
+            steps.end()
+        );
+        Err(differs(&self.asked(ticket).text, &report.text, &expected))
+    }
+
+    /// Whether the robot still held a request when the first response to the request `other` arrived.
+    pub(super) fn is_held_until(&self, ticket: Ticket, other: Ticket) -> bool {
+        self.exchanges.is_held_until(ticket, other)
+    }
+
+    /// Sends a frame of the compact encoding, and waits for a frame. Returns its message; `None` if the robot answers with a line or not
+    /// at all.
+    pub(super) fn exchange_frame(&mut self, frame: &[u8]) -> Result<Option<Message>, Unmet> {
+        self.send(frame)?;
+        let until = self.trial.patience();
+        let (mut decoder, mut bytes) = (Decoder::new(LINE_BYTES_MAX), [0; 64 * 1024]);
+        let mut begun = false;
+        while self.trial.now() < until {
+            self.trial.go_on()?;
+            let _set = self.stream.socket().set_read_timeout(Some(SLICE));
+            let read = match self.stream.read(&mut bytes) {
+                Ok(0) => return Ok(None),
+                Ok(read) => read,
+                Err(_) => continue,
+            };
+            if !begun && bytes[0] != FRAME {
+                return Ok(None);
+            }
+            begun = true;
+            decoder.push(&bytes[..read]);
+            if let Some(decoded) = decoder.next_message() {
+                return Ok(decoded.ok());
+            }
+        }
+        Ok(None)
     }
 
     /// Waits for the next message that does not belong to a control request; `None` if none arrives before `until`.

@@ -9,30 +9,35 @@ use super::trial::Trial;
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "many-messages",
+        number: "core-93",
         demands: "A thousand messages that arrive in one write are all answered, in order.",
         section: "Sessions and connections (D)",
         check: many_messages,
     },
     Requirement {
         name: "slow-reader",
+        number: "core-94",
         demands: "A server that sends requests but does not read the answers does not delay other servers.",
         section: "Sessions and connections (D)",
         check: slow_reader,
     },
     Requirement {
         name: "reconnect",
+        number: "core-95",
         demands: "Twenty connections, one after the other, are all served.",
         section: "Sessions and connections (D)",
         check: reconnect,
     },
     Requirement {
         name: "two-links",
+        number: "core-96",
         demands: "A second connection is served while the first one is open.",
         section: "Sessions and connections (D)",
         check: two_links,
     },
     Requirement {
         name: "silent-peers",
+        number: "core-97",
         demands: "Sixteen connections that send nothing, or only half a message, block a server for at most 10 s.",
         section: "Strangers (D)",
         check: silent_peers,

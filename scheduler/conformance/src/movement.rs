@@ -14,30 +14,35 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial, millis_of};
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "stays-stopped",
+        number: "inquiry-18",
         demands: "A stop does not move the device: it keeps the last commanded position.",
         section: "Coming to rest (D)",
         check: stays_stopped,
     },
     Requirement {
         name: "stays-connected",
+        number: "inquiry-19",
         demands: "Closing a connection and opening a new one do not move the device.",
         section: "Coming to rest (D)",
         check: stays_connected,
     },
     Requirement {
         name: "lease-stays-pending",
+        number: "inquiry-20",
         demands: "If the lease of a command ends before its start, the device keeps its position.",
         section: "Coming to rest (D)",
         check: stays_pending,
     },
     Requirement {
         name: "lease-stays-running",
+        number: "script-28",
         demands: "If the lease of a running script ends, the device keeps the position of the last step.",
         section: "Coming to rest (D)",
         check: stays_running,
     },
     Requirement {
         name: "home-position",
+        number: "script-29",
         demands: "An empty script with `home: true` moves the device to its default_value.",
         section: "Coming to rest (D)",
         check: home_position,

@@ -11,18 +11,21 @@ use super::trial::{LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 3] = [
     Requirement {
         name: "session-stop",
+        number: "core-66",
         demands: "A stop from a session that does not own the robot, or without a session, is refused with `busy` and does not end or cancel any command.",
         section: "Sessions and connections (D)",
         check: session_stop,
     },
     Requirement {
         name: "session-silence",
+        number: "core-67",
         demands: "A silent session that holds no commands keeps the robot for 5 s while its connection is open, and no longer.",
         section: "Sessions and connections (D)",
         check: session_silence,
     },
     Requirement {
         name: "reports-follow",
+        number: "reports-5",
         demands: "Reports go to the connection on which the session last sent a message, regardless of the connection on which the command arrived.",
         section: "Reports (D)",
         check: reports_follow,
@@ -35,7 +38,7 @@ pub(super) fn session(trial: &Trial) -> Result<SessionId, Unmet> {
     SessionId::new(name).map_err(|error| not_applicable(error.to_string()))
 }
 
-fn of(session: &SessionId, request: ControlRequest) -> ControlRequest {
+pub(super) fn of(session: &SessionId, request: ControlRequest) -> ControlRequest {
     ControlRequest { session: Some(session.clone()), ..request }
 }
 

@@ -9,6 +9,8 @@ use super::trial::Trial;
 pub struct Requirement {
     /// The name of the requirement, as in the option `--only`.
     pub name: &'static str,
+    /// The number of the demand: the profile of the protocol that contains it, and its number within the profile.
+    pub number: &'static str,
     /// The requirement in one sentence.
     pub demands: &'static str,
     /// The section of `docs/protocol.md` that states the requirement.
@@ -28,6 +30,14 @@ pub(super) enum Unmet {
     NotApplicable(String),
     /// The operator interrupted the check.
     Interrupted,
+}
+
+impl Requirement {
+    /// Whether `text` is the name or the number of the requirement.
+    #[must_use]
+    pub fn is_called(&self, text: &str) -> bool {
+        self.name == text || self.number == text
+    }
 }
 
 impl Unmet {
@@ -69,6 +79,8 @@ impl Verdict {
 pub struct Judged {
     /// The name of the requirement.
     pub requirement: &'static str,
+    /// The number of the demand.
+    pub number: &'static str,
     /// The result of the check.
     pub verdict: Verdict,
     /// After a failure: the sent, the received and the expected message. After a pass: the measurement, if any.
@@ -109,7 +121,8 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_every_demand_is_one_sentence() {
-        let mut names: Vec<_> = super::super::requirements().map(|requirement| requirement.name).collect();
+        let all = super::super::requirements;
+        let mut names: Vec<_> = all().flat_map(|r| [r.name, r.number]).collect();
         let count = names.len();
         names.sort_unstable();
         names.dedup();

@@ -9,36 +9,42 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "script-order",
+        number: "script-6",
         demands: "A script whose steps go back in time is refused with `malformed`.",
         section: "Control request",
         check: script_order,
     },
     Requirement {
         name: "script-timing",
+        number: "script-7",
         demands: "A script reports `Accepted`, `Started` and `OK` in this order, with all its steps done, and ends at the time of the last step.",
         section: "Reports (D)",
         check: script_timing,
     },
     Requirement {
         name: "max-steps",
+        number: "script-8",
         demands: "A script with exactly max_number_of_steps steps is accepted.",
         section: "Refusing",
         check: max_steps,
     },
     Requirement {
         name: "one-step-too-many",
+        number: "script-9",
         demands: "A script with one step more than max_number_of_steps is refused with `too_many_steps`.",
         section: "Refusing",
         check: one_step_too_many,
     },
     Requirement {
         name: "queue",
+        number: "script-10",
         demands: "A device accepts script_queue scripts in direct succession; one more is refused with `busy`.",
         section: "Refusing",
         check: queue,
     },
     Requirement {
         name: "overlap",
+        number: "script-11",
         demands: "A script that overlaps an accepted one is refused with `overlap`, or with `busy` if the queue holds only one.",
         section: "Refusing",
         check: overlap,
@@ -46,7 +52,7 @@ pub(super) const ALL: [Requirement; 6] = [
 ];
 
 /// Maximum number of steps to test, because a robot may declare an impractically large number.
-const STEPS_TRIED_MAX: u32 = 10_000;
+pub(super) const STEPS_TRIED_MAX: u32 = 10_000;
 /// Maximum number of queued scripts to test.
 const QUEUE_TRIED_MAX: u32 = 256;
 
@@ -99,12 +105,12 @@ fn script_timing(trial: &Trial) -> Checked {
 }
 
 /// Creates a script of `count` steps at intervals of one millisecond. The check ends before the script starts.
-fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
+pub(super) fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
     let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
     trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
 }
 
-fn steps_declared(actor: &Actor) -> u32 {
+pub(super) fn steps_declared(actor: &Actor) -> u32 {
     actor.device.available_control_types.script().map_or(0, |script| script.max_number_of_steps)
 }
 

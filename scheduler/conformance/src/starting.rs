@@ -12,36 +12,42 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "deferred-start",
+        number: "reports-1",
         demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never early.",
         section: "Time (D)",
         check: deferred_start,
     },
     Requirement {
         name: "script-start",
+        number: "script-4",
         demands: "If the first value of a script is due after its start, a device with `hold` reports `Started` when that value is due; with `linear`, at the start.",
         section: "Reports (D)",
         check: script_start,
     },
     Requirement {
         name: "immediate-start",
+        number: "core-14",
         demands: "A command without time_offset_to_start is accepted and starts as soon as it is received.",
         section: "Control request",
         check: immediate_start,
     },
     Requirement {
         name: "late",
+        number: "core-15",
         demands: "A command that arrives after its start is refused with `late` and not executed.",
         section: "Time (D)",
         check: late,
     },
     Requirement {
         name: "late-by-little",
+        number: "core-16",
         demands: "A command that arrives only a few milliseconds after its start is refused with `late` as well, even a script whose other steps are still in the future.",
         section: "Time (D)",
         check: late_by_little,
     },
     Requirement {
         name: "status-value",
+        number: "core-17",
         demands: "The status_value is the accepted value in `Accepted`, the first value set in `Started` and the last one in `OK`; it is null in a refusal and in the `OK` to an empty script.",
         section: "Control response",
         check: status_value,
@@ -192,8 +198,7 @@ fn status_value(trial: &Trial) -> Checked {
             }
         }
     }
-    let beyond = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
-    let ticket = line.ask(&beyond)?;
+    let ticket = line.ask(&trial.refusable(actor).request)?;
     let refusal = line.answer(ticket)?;
     match (&refusal.message.status, &refusal.message.status_value) {
         (Status::Failed, StatusValue::Null) => {}

@@ -10,30 +10,35 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "cancel-pending",
+        number: "core-35",
         demands: "An empty script without a start time is answered with `OK`, and pending commands end with `Failed` and `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_pending,
     },
     Requirement {
         name: "cancel-from",
+        number: "script-21",
         demands: "An empty script with the start time S cancels commands that start at S or later, but none that start earlier.",
         section: "Cancelling (D)",
         check: cancel_from,
     },
     Requirement {
         name: "cancel-running",
+        number: "script-22",
         demands: "An empty script without a start time ends running commands, which report `Failed` with `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_running,
     },
     Requirement {
         name: "home",
+        number: "script-23",
         demands: "An empty script with `home: true` is answered with `OK` and also ends pending commands.",
         section: "Cancelling (D)",
         check: home,
     },
     Requirement {
         name: "take-back",
+        number: "script-24",
         demands: "After a stop with a timestamp, commands that were sent no later than this timestamp but arrive after the stop are also refused with `cancelled`; commands that were sent later are not.",
         section: "Cancelling (D)",
         check: take_back,

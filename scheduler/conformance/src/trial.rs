@@ -27,6 +27,13 @@ pub(super) const LEASE_MS: f64 = 1_500.0;
 /// Interval between checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
 
+/// A request that the robot must refuse.
+pub(super) struct Refusable {
+    pub(super) request: ControlRequest,
+    /// The error code of the refusal.
+    pub(super) code: ErrorCode,
+}
+
 /// The environment of the checks.
 #[derive(Debug)]
 pub(super) struct Trial {
@@ -41,6 +48,8 @@ pub(super) struct Trial {
     /// The robot's initialization block; `None` until the robot has sent it.
     pub(super) block: Option<InitializationBlock>,
     actor: Option<Actor>,
+    /// Another device that can be moved, to check that the commands of two devices are independent.
+    second: Option<Actor>,
     /// Part of the request ids that distinguishes this run from earlier ones.
     run: u64,
     next_id: Cell<u64>,
@@ -65,6 +74,7 @@ impl Trial {
             greets: false,
             block: None,
             actor: None,
+            second: None,
             run: fastrand::u64(..),
             next_id: Cell::new(0),
             left_held: Cell::new(false),
@@ -73,7 +83,9 @@ impl Trial {
     }
 
     pub(super) fn learn(&mut self, block: Option<InitializationBlock>) {
-        self.actor = block.as_ref().and_then(|block| Actor::choose(block, self.options.device.as_deref()));
+        let Options { device, custom, .. } = &self.options;
+        self.actor = block.as_ref().and_then(|block| Actor::choose(block, device.as_deref(), *custom));
+        self.second = block.as_ref().zip(self.actor.as_ref()).and_then(|(block, first)| first.other(block));
         self.block = block;
     }
 
@@ -189,9 +201,49 @@ impl Trial {
         self.actor.as_ref().ok_or_else(|| match &self.options.device {
             Some(id) => not_applicable(format!("`{id}` has no position, speed or acceleration with a settable value")),
             None => not_applicable(
-                "no device supports position, speed or acceleration; only the manufacturer knows which values of custom control types are safe",
+                "no device supports position, speed or acceleration; only the manufacturer knows which values of custom control types are safe: state one by `--custom VALUE`",
             ),
         })
+    }
+
+    /// Whether a device of the robot accepts scripts. If none does, the smaller limits of the profile Core apply.
+    pub(super) fn accepts_scripts(&self) -> bool {
+        let mut devices = self.block.iter().flat_map(|block| block.devices.iter());
+        devices.any(|device| device.available_control_types.script().is_some())
+    }
+
+    /// Returns [`Unmet::NotApplicable`] if the robot may ignore the content_hash of requests.
+    pub(super) fn checking_hashes(&self) -> Result<(), Unmet> {
+        if self.accepts_scripts() {
+            return Ok(());
+        }
+        Err(not_applicable("a robot without scripts may ignore content_hash"))
+    }
+
+    /// Whether the robot has a device that the checks can move.
+    pub(super) const fn moves(&self) -> bool {
+        self.actor.is_some()
+    }
+
+    /// Returns a second device to move.
+    pub(super) fn second(&self) -> Result<&Actor, Unmet> {
+        self.actor()?;
+        self.second.as_ref().ok_or_else(|| not_applicable("the robot has no second device that can be moved"))
+    }
+
+    /// Creates a request that the robot must refuse, with the error code.
+    pub(super) fn refusable(&self, actor: &Actor) -> Refusable {
+        match actor.beyond() {
+            Ok([_, above]) => Refusable {
+                request: self.set(actor, above).starting_in(LATER_MS).leased(LEASE_MS),
+                code: ErrorCode::OutOfRange,
+            },
+            Err(_) => {
+                let timestamp = Some(self.stamp() - Span::from_millis(5_000));
+                let late = ControlRequest { timestamp, ..self.set(actor, actor.rest) };
+                Refusable { request: late.starting_in(1_000.0).leased(LEASE_MS), code: ErrorCode::Late }
+            }
+        }
     }
 
     /// Returns the device to move, if it accepts scripts.

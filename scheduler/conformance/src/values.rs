@@ -6,57 +6,80 @@ use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 9] = [
+pub(super) const ALL: [Requirement; 11] = [
     Requirement {
         name: "range",
+        number: "core-6",
         demands: "The values min_value and max_value are accepted; values beyond them are refused with `out_of_range`.",
         section: "Refusing",
         check: range,
     },
     Requirement {
         name: "granularity",
+        number: "core-7",
         demands: "A value that is not a multiple of the granularity is refused with `off_granularity`.",
         section: "Refusing",
         check: granularity,
     },
     Requirement {
         name: "script-range",
+        number: "script-1",
         demands: "A script with one step out of range or off the grid is refused as a whole.",
         section: "Refusing",
         check: script_range,
     },
     Requirement {
+        name: "granularity-decimal",
+        number: "core-8",
+        demands: "Multiples of the granularity are accepted although decimal text rounds them, such as 0.3 with a granularity of 0.1.",
+        section: "Initialization",
+        check: granularity_decimal,
+    },
+    Requirement {
+        name: "script-narrower",
+        number: "script-2",
+        demands: "A script whose value lies within the limits of its control type but not within the narrower limits of scripts is refused.",
+        section: "Refusing",
+        check: script_narrower,
+    },
+    Requirement {
         name: "unknown-device",
+        number: "core-9",
         demands: "A request to a device that the robot does not have is refused with `unknown_device`.",
         section: "Refusing",
         check: unknown_device,
     },
     Requirement {
         name: "unsupported-control-type",
+        number: "core-10",
         demands: "A control type that the device does not support is refused with `unsupported_control_type`, and the device's pending commands end with `Failed` and `cancelled`.",
         section: "Refusing",
         check: unsupported_control_type,
     },
     Requirement {
         name: "unknown-control-type",
+        number: "core-11",
         demands: "A control type that the protocol does not define is treated as one that the device does not support, whatever its control_value is, including a list or a string.",
         section: "Refusing",
         check: unknown_control_type,
     },
     Requirement {
         name: "script-control-types",
+        number: "script-3",
         demands: "A script with a step of a control type that scripts may not use is refused with `unsupported_control_type`.",
         section: "Refusing",
         check: script_control_types,
     },
     Requirement {
         name: "sensor",
+        number: "sensor-1",
         demands: "A sensor request is answered with `Provide` and a reading from min_value to max_value, within max_delay.",
         section: "Sensors",
         check: sensor,
     },
     Requirement {
         name: "sensor-not-a-sensor",
+        number: "core-12",
         demands: "A sensor request to a device that is not a sensor is refused with `unsupported_control_type`.",
         section: "Sensors",
         check: sensor_not_a_sensor,
@@ -74,10 +97,10 @@ fn takes(trial: &Trial, line: &mut Line, value: f64) -> Result<(), Unmet> {
 fn range(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let (low, high) = actor.edges();
+    let [below, above] = actor.beyond()?;
+    let [low, high] = actor.edges();
     takes(trial, &mut line, low)?;
     takes(trial, &mut line, high)?;
-    let (below, above) = actor.beyond();
     for value in [below, above] {
         let request = trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS);
         line.refuses(&request, ErrorCode::OutOfRange)?;
@@ -88,6 +111,7 @@ fn range(trial: &Trial) -> Checked {
 /// Returns a value between two multiples of the granularity.
 fn off_grid(trial: &Trial) -> Result<f64, Unmet> {
     let actor = trial.actor()?;
+    actor.beyond()?;
     let half = actor.limits.granularity / 2.0;
     let between = [actor.rest + half, actor.rest - half].into_iter();
     between.into_iter().find(|v| actor.limits.contains(*v) && !actor.limits.on_grid(*v)).ok_or_else(|| {
@@ -113,9 +137,49 @@ fn script_range(trial: &Trial) -> Checked {
         let steps = [(0.0, actor.rest), (100.0, value), (200.0, actor.rest)];
         trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
     };
-    line.refuses(&later(actor.beyond().1), ErrorCode::OutOfRange)?;
+    let [_, above] = actor.beyond()?;
+    line.refuses(&later(above), ErrorCode::OutOfRange)?;
     if let Ok(between) = between {
         line.refuses(&later(between), ErrorCode::OffGranularity)?;
+    }
+    pass()
+}
+
+/// Number of multiples of the granularity on each side of zero that are tried.
+const MULTIPLES: i32 = 12;
+
+fn granularity_decimal(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    actor.beyond()?;
+    let mut line = trial.connect()?;
+    let multiples =
+        (-MULTIPLES..=MULTIPLES).map(|n| actor.limits.nearest(f64::from(n) * actor.limits.granularity));
+    let mut tried = 0;
+    for value in multiples.filter(|value| actor.limits.contains(*value)) {
+        takes(trial, &mut line, value)?;
+        tried += 1;
+    }
+    Ok(format!("{tried} multiples of {}", actor.limits.granularity))
+}
+
+fn script_narrower(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let [low, high] = actor.edges();
+    let setpoint = |value| Setpoint::new(actor.control_type, value);
+    let fits = |value: &f64| actor.device.check(&setpoint(*value)).is_ok();
+    let granularity = actor.limits.granularity;
+    let near = [actor.rest + granularity, actor.rest - granularity].map(|value| actor.limits.nearest(value));
+    let mut line = trial.connect()?;
+    let mut tried = 0;
+    for value in [low, high].into_iter().chain(near).filter(fits) {
+        let Err(refusal) = actor.device.check_in_script(&setpoint(value)) else { continue };
+        let script = trial.script(actor, &[(0.0, value)]).starting_in(LATER_MS).leased(LEASE_MS);
+        line.refuses(&script, refusal.code)?;
+        takes(trial, &mut line, value)?;
+        tried += 1;
+    }
+    if tried == 0 {
+        return Err(not_applicable("scripts have the limits of their control type"));
     }
     pass()
 }

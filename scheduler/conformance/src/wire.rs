@@ -11,72 +11,84 @@ use super::trial::{LATER_MS, LEASE_MS, Trial};
 pub(super) const ALL: [Requirement; 12] = [
     Requirement {
         name: "unknown-keys",
+        number: "core-74",
         demands: "Unknown keys in a message are ignored.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: unknown_keys,
     },
     Requirement {
         name: "unknown-message",
+        number: "core-75",
         demands: "A message with an unknown name is ignored or answered with `malformed`, and the connection remains usable.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: unknown_message,
     },
     Requirement {
         name: "malformed-line",
+        number: "core-76",
         demands: "A line that is not JSON is answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: malformed_line,
     },
     Requirement {
         name: "wrong-type",
+        number: "core-77",
         demands: "A message with a missing key or a value of the wrong type is answered with `malformed`, and the connection remains usable.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: wrong_type,
     },
     Requirement {
         name: "not-utf8",
+        number: "core-78",
         demands: "A line that is not UTF-8 is answered with `malformed`, and the connection remains usable.",
         section: "Framing (D)",
         check: not_utf8,
     },
     Requirement {
         name: "deep-nesting",
+        number: "core-79",
         demands: "A line with 100,000 nested levels is answered, and the connection remains usable.",
         section: "Framing (D)",
         check: deep_nesting,
     },
     Requirement {
         name: "bad-numbers",
+        number: "core-80",
         demands: "Numbers that are not finite (NaN, Infinity and 1e999) are answered with `malformed`.",
         section: "Framing (D)",
         check: bad_numbers,
     },
     Requirement {
         name: "long-strings",
+        number: "core-81",
         demands: "A string of 256 characters is accepted; one of 257 characters is answered with `malformed`.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: long_strings,
     },
     Requirement {
         name: "duplicate-keys",
+        number: "core-82",
         demands: "A duplicate key is answered with `malformed`.",
-        section: "Framing (D)",
+        section: "Messages (D)",
         check: duplicate_keys,
     },
     Requirement {
         name: "huge-line",
+        number: "core-83",
         demands: "A line of 17 MB is answered with `malformed` or ends the connection, and the robot accepts new connections.",
         section: "Framing (D)",
         check: huge_line,
     },
     Requirement {
         name: "half-line",
+        number: "core-84",
         demands: "A message that arrives in two halves is read as one; half a message followed by a closed connection does no harm.",
         section: "Framing (D)",
         check: half_line,
     },
     Requirement {
         name: "empty-lines",
+        number: "core-85",
         demands: "Empty lines are skipped.",
         section: "Framing (D)",
         check: empty_lines,
@@ -84,7 +96,7 @@ pub(super) const ALL: [Requirement; 12] = [
 ];
 
 /// Creates a valid control request that the robot accepts and holds, as a base for invalid requests.
-fn sound(trial: &Trial) -> Result<Value, Unmet> {
+pub(super) fn sound(trial: &Trial) -> Result<Value, Unmet> {
     let actor = trial.actor()?;
     Ok(json!({
         "timestamp": trial.stamp(), "time_offset_to_start": LATER_MS, "device_id": actor.device.id,
@@ -93,7 +105,7 @@ fn sound(trial: &Trial) -> Result<Value, Unmet> {
     }))
 }
 
-fn line_of(request: &Value) -> Vec<u8> {
+pub(super) fn line_of(request: &Value) -> Vec<u8> {
     format!("{}\n", json!({"control_request": request})).into_bytes()
 }
 
@@ -215,15 +227,23 @@ fn long_strings(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let mut request = sound(trial)?;
     // The limit is in characters, not bytes.
-    let id = "\u{44f}".repeat(STRING_CHARS_MAX - 16) + &format!("{:016x}", fastrand::u64(..));
-    request["request_id"] = json!(id);
-    let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
-    let device = trial.actor()?.device.id.clone();
-    let ticket = line.ask_text(Some(id), device.as_str(), &text)?;
-    line.accepted(ticket)?;
+    let actor = trial.actor()?;
+    for letter in ["\u{44f}", "\u{1f916}", "x"] {
+        let id = letter.repeat(STRING_CHARS_MAX - 16) + &format!("{:016x}", fastrand::u64(..));
+        request["request_id"] = json!(id);
+        let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
+        let ticket = line.ask_text(Some(id), actor.device.id.as_str(), &text)?;
+        line.accepted(ticket)?;
+        let cancel = line.ask(&trial.cancel(actor))?;
+        line.answer(cancel)?;
+    }
     let long = "x".repeat(STRING_CHARS_MAX + 1);
+    // A letter and an accent are two characters, even if they are shown as one.
+    let decomposed = "e\u{301}".repeat(STRING_CHARS_MAX / 2) + "x";
     let mut lines = Vec::new();
-    for key in ["request_id", "device_id", "session"] {
+    for [key, long] in
+        [["request_id", &long], ["device_id", &long], ["session", &long], ["request_id", &decomposed]]
+    {
         let mut request = sound(trial)?;
         request[key] = json!(long);
         lines.push(line_of(&request));

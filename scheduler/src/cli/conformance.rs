@@ -39,6 +39,7 @@ Examples:
   downbeat conformance tcp://127.0.0.1:7401
   downbeat conformance tcp://robot.local:7401 --device elbow --tolerance 5ms
   downbeat conformance tcp://127.0.0.1:7401 --only late,queue --format json
+  downbeat conformance tcp://lamp.local:7401 --custom 0.5
   DOWNBEAT_IDENTITY=anna.pem downbeat conformance hmac://10.0.0.14:7401
   downbeat conformance --list
 
@@ -47,7 +48,8 @@ Exit codes:
   1  a check failed, or the robot does not answer
   2  wrong arguments
   3  ended by the operator; the robot is at rest
-  4  ended by the operator; the robot did not confirm that it is at rest"
+  4  ended by the operator; the robot did not confirm that it is at rest
+  5  no check failed, but the robot has no device that the checks can move"
 )]
 pub(super) struct ConformanceArgs {
     /// The address on which the robot listens: tcp://HOST:PORT, or tls:// or hmac:// with an identity in DOWNBEAT_IDENTITY.
@@ -56,12 +58,15 @@ pub(super) struct ConformanceArgs {
     /// List the requirements and check nothing.
     #[arg(long)]
     list: bool,
-    /// Check only these requirements.
+    /// Check only these requirements, each by its name or its number.
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = parse_name)]
     only: Vec<String>,
     /// The device to move. By default, the first that takes scripts, or else the first that can be moved.
     #[arg(long, value_name = "ID")]
     device: Option<String>,
+    /// Move a device by its custom control type, with only this value. Choose one that is safe.
+    #[arg(long, value_name = "VALUE", allow_negative_numbers = true, value_parser = parse_value)]
+    custom: Option<f64>,
     /// The identity file of another operator, with only the role `observe`: to check that it cannot move the robot.
     #[arg(long, value_name = "FILE")]
     observer: Option<PathBuf>,
@@ -86,12 +91,17 @@ enum Clock {
 }
 
 fn parse_name(name: &str) -> Result<String, String> {
-    if requirements().any(|requirement| requirement.name == name) {
+    if requirements().any(|requirement| requirement.is_called(name)) {
         return Ok(name.to_owned());
     }
     let near = downbeat_scripts::did_you_mean(name, requirements().map(|requirement| requirement.name));
     let near = near.map(|question| format!(" {question}")).unwrap_or_default();
     Err(format!("unknown requirement `{name}`;{near} `downbeat conformance --list` lists all requirements"))
+}
+
+fn parse_value(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+    value.ok_or_else(|| "expected a number".to_owned())
 }
 
 pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
@@ -110,6 +120,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
         patience: args.patience,
         tolerance: args.tolerance,
         device: args.device.clone(),
+        custom: args.custom,
         clock_measured: args.clock == Clock::Measured,
         only: args.only.clone(),
         security,
@@ -193,13 +204,14 @@ fn list(format: Format) {
     match format {
         Format::Json => {
             let all: Vec<_> = requirements()
-                .map(|r| json!({"requirement": r.name, "demands": r.demands, "section": r.section}))
+                .map(|r| json!({"requirement": r.name, "number": r.number, "demands": r.demands, "section": r.section}))
                 .collect();
             console::print_json(&all);
         }
         Format::Text => {
             let width = width();
-            let lines = requirements().map(|r| format!("{:width$}  {} ({})\n", r.name, r.demands, r.section));
+            let lines = requirements()
+                .map(|r| format!("{:10}  {:width$}  {} ({})\n", r.number, r.name, r.demands, r.section));
             console::print(&lines.collect::<String>());
         }
     }
@@ -266,11 +278,19 @@ fn finish(examined: &Examined, format: Format) -> Exit {
             "the robot did not confirm that it is at rest; it drops its commands when its lease expires",
         );
     }
-    let failed = examined.judged.iter().any(|judged| judged.verdict == Verdict::Fail);
+    let has = |verdict| examined.judged.iter().any(|judged| judged.verdict == verdict);
+    let failed = has(Verdict::Fail);
+    let unmoved = !examined.moves && has(Verdict::NotApplicable);
+    if unmoved {
+        console::warn(
+            "nothing was moved, so most requirements were not checked: no device has a position, speed or acceleration; to check custom control types, state a value that is safe by `--custom VALUE`",
+        );
+    }
     match (examined.interrupted, examined.at_rest) {
         (true, true) => Exit::Stopped,
         (true, false) => Exit::Unconfirmed,
         (false, _) if failed => Exit::Failed,
+        (false, _) if unmoved => Exit::DoneWithout,
         (false, _) => Exit::Done,
     }
 }
@@ -283,10 +303,12 @@ fn text(examined: &Examined) -> String {
             Verdict::Fail => AnsiColor::Red.on_default().bold(),
             Verdict::NotApplicable => Style::new().dimmed(),
         };
-        let Judged { requirement, verdict, why, millis } = judged;
+        let Judged { requirement, number, verdict, why, millis } = judged;
         let verdict = verdict.as_str();
-        let line =
-            format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}", shown(why));
+        let line = format!(
+            "{number:10}  {requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}",
+            shown(why)
+        );
         let _written = writeln!(text, "{}", line.trim_end());
     }
     let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();

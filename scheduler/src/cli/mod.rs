@@ -226,7 +226,8 @@ pub enum Exit {
     Stopped = 3,
     /// The stop of at least one robot is not confirmed.
     Unconfirmed = 4,
-    /// The mission ended, but without robots that failed on the way, or without acts whose wait timed out.
+    /// The mission ended, but without robots that failed on the way, or without acts whose wait timed out; or the conformance test ended
+    /// without moving the robot.
     DoneWithout = 5,
     /// The mission played to its end, but perhaps not as promised: robots were too far apart, or cannot report what they did.
     Uncertain = 6,

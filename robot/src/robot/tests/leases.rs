@@ -137,3 +137,13 @@ fn only_the_lease_end_of_a_speed_left_on_is_reported_after_an_end() {
         assert_eq!(reported, expected, "{device}, {command:?}, cancelled: {cancels}");
     }
 }
+
+#[test]
+fn message_that_only_robots_send_does_not_renew_a_lease() {
+    let mut bench = Bench::new();
+    bench.request(leased("arm", "a", 5_000.0, paper(), 300.0));
+    bench.until(200);
+    bench.send(Message::InitializationBlock(bench.robot.block().clone()));
+    bench.until(300);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+}
