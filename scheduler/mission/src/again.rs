@@ -130,7 +130,7 @@ impl Mission {
         let reason = format!("{reason}; `{name}` is prepared again");
         let (attempts, start) = (act.attempts() + 1, act.fixed_start(&self.options));
         self.again = Some(Again { act: index, attempts, start, suspended, hold_up });
-        self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
+        self.abort_because(now, outcome, reason, Rest::InPlace, Some(index));
     }
 
     /// Handles the end of the stop of a withdrawn act. Returns whether the act is prepared again; if not, the mission ends.

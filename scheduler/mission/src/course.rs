@@ -157,7 +157,7 @@ impl Mission {
             let reason = format!("`{}` {fate}", act.name());
             self.skipped_act(&act, fate);
             if way == Way::Fail {
-                return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
+                return self.abort_because(now, Outcome::Failed, reason, Rest::InPlace, None);
             }
         }
         self.go_way(now, way);

@@ -117,7 +117,8 @@ mod tests {
     fn answered(
         exchanges: &mut Exchanges,
         originate: Option<i64>,
-        (received, answered): (i64, i64),
+        received: i64,
+        answered: i64,
         arrived: i64,
     ) -> Option<Span> {
         let (received, answered) = (by_robot(at(received)), by_robot(at(answered)));
@@ -130,11 +131,11 @@ mod tests {
         let mut exchanges = Exchanges::default();
         [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
         for never_asked in [-60_000, 9, 11, 30] {
-            assert_eq!(answered(&mut exchanges, Some(never_asked), (20, 20), 40), None, "{never_asked}");
+            assert_eq!(answered(&mut exchanges, Some(never_asked), 20, 20, 40), None, "{never_asked}");
         }
-        assert_eq!(answered(&mut exchanges, Some(20), (30, 30), 40), Some(ms(20)));
-        assert_eq!(answered(&mut exchanges, Some(20), (30, 30), 41), None, "again");
-        assert_eq!(answered(&mut exchanges, Some(10), (30, 30), 42), Some(ms(32)), "overtaken");
+        assert_eq!(answered(&mut exchanges, Some(20), 30, 30, 40), Some(ms(20)));
+        assert_eq!(answered(&mut exchanges, Some(20), 30, 30, 41), None, "again");
+        assert_eq!(answered(&mut exchanges, Some(10), 30, 30, 42), Some(ms(32)), "overtaken");
         assert_eq!(exchanges.ignored(), 5);
     }
 
@@ -143,7 +144,7 @@ mod tests {
         let mut exchanges = Exchanges::default();
         exchanges.asked(at(10), 2);
         exchanges.asked(at(10), 1);
-        let count = (0..9).filter(|_| answered(&mut exchanges, Some(10), (11, 11), 12).is_some()).count();
+        let count = (0..9).filter(|_| answered(&mut exchanges, Some(10), 11, 11, 12).is_some()).count();
         assert_eq!(count, 3);
     }
 
@@ -151,7 +152,7 @@ mod tests {
     fn response_without_echoed_time_matches_oldest_request() {
         let mut exchanges = Exchanges::default();
         [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
-        let delays: Vec<_> = (0..3).map(|_| answered(&mut exchanges, None, (25, 25), 30)).collect();
+        let delays: Vec<_> = (0..3).map(|_| answered(&mut exchanges, None, 25, 25, 30)).collect();
         assert_eq!(delays, [Some(ms(20)), Some(ms(10)), None]);
     }
 
@@ -182,7 +183,7 @@ mod tests {
         ] {
             let mut exchanges = Exchanges::default();
             exchanges.asked(at(10), 1);
-            let taken = answered(&mut exchanges, Some(10), (received, told), 20);
+            let taken = answered(&mut exchanges, Some(10), received, told, 20);
             assert_eq!(taken.is_some(), possible, "received at {received}, answered at {told}: {taken:?}");
         }
     }
@@ -195,6 +196,6 @@ mod tests {
         exchanges.asked(at(1_000_000), 1);
         assert_eq!(exchanges.open.len(), 1);
         exchanges.begin_again();
-        assert_eq!(answered(&mut exchanges, Some(1_000_000), (0, 0), 1_000_001), None);
+        assert_eq!(answered(&mut exchanges, Some(1_000_000), 0, 0, 1_000_001), None);
     }
 }

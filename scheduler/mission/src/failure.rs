@@ -26,7 +26,7 @@ impl Mission {
             return;
         }
         if let Loss::Flooding { messages, bytes } = loss {
-            return self.flooded(now, robot, reason, (messages, bytes));
+            return self.flooded(now, robot, reason, messages, bytes);
         }
         let state = &mut self.robots[robot];
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
@@ -55,7 +55,8 @@ impl Mission {
         now: Timestamp<Server>,
         robot: RobotIndex,
         reason: String,
-        (messages, bytes): (u64, u64),
+        messages: u64,
+        bytes: u64,
     ) {
         let loss = Loss::Flooding { messages, bytes };
         let state = &mut self.robots[robot];
@@ -289,7 +290,7 @@ impl Mission {
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[RobotIndex]) {
         if self.acts.is_empty() {
             let reason = self.reason_of(robots);
-            return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
+            return self.abort_because(now, Outcome::Failed, reason, Rest::InPlace, None);
         }
         let policies = robots.iter().filter_map(|robot| self.policy_of(*robot));
         let rank = |what: &OnFailure| match what {
@@ -310,7 +311,7 @@ impl Mission {
                 let nobody = self.robots.iter().all(|robot| robot.standing == Standing::Out);
                 if nobody && sent {
                     let reason = self.reason_of(robots);
-                    self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
+                    self.abort_because(now, Outcome::Failed, reason, Rest::InPlace, None);
                 }
             }
         }
@@ -339,7 +340,7 @@ impl Mission {
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
         let reason = self.reason_of(robots);
-        self.abort_because(now, (outcome, reason), rest, then);
+        self.abort_because(now, outcome, reason, rest, then);
     }
 
     /// Describes a failure for users: the latest failure of the first of these robots, and the number of the other robots.

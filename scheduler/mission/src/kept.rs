@@ -8,7 +8,7 @@ use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::lines::{begins_with, sound, whole_length};
 use super::record::{ActFlaws, ActOver, ENDED_ACT, EndedAct, Promise, Record};
-use super::{ActFate, ActNumber, Failure, Outcome, Rest};
+use super::{ActFate, ActNumber, Cause, Failure, Outcome, Rest};
 
 /// The state of a mission, as restored from the records in its journal.
 #[derive(Clone, Debug, Default)]
@@ -196,13 +196,13 @@ impl Kept {
     /// Returns the outcome of the mission if `resume` withdraws it, and the reason for users. If a stop was being sent, the outcome is
     /// that of the stop, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
     #[must_use]
-    pub fn ending(&self, why: &str) -> (Outcome, String) {
+    pub fn ending(&self, why: &str) -> Cause {
         let outcome = self.stopping.as_ref().map_or(Outcome::Failed, |stopping| stopping.outcome.clone());
         let reason = match outcome {
             Outcome::Stopped => outcome.to_string(),
             _ => format!("the process of the mission died: {why}"),
         };
-        (outcome, reason)
+        Cause { outcome, reason }
     }
 
     /// Whether robots may have moved. Only an act whose commitment is on disk can start, but damage to the journal may hide a commitment.

@@ -79,7 +79,7 @@ pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use lines::{dated_line, ended_acts, line, sound, whole, whole_length};
 pub use motion::{MotionReport, MotionSpread};
 pub use options::{FixedStart, FixedStarts, Greeting, Join, MissionOptions, Participant};
-pub use outcome::Outcome;
+pub use outcome::{Cause, Outcome};
 pub use preflight::{AfterFailure, Check, DeviceReading, NOT_STRICT, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
 pub use resume::Changed;

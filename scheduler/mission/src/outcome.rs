@@ -21,6 +21,15 @@ pub(super) struct Conclusion {
     pub(super) flaw_of_times: Option<Outcome>,
 }
 
+/// Why another process withdraws a mission.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cause {
+    /// The outcome; a withdrawal corrects it if it contradicts the movements of robots.
+    pub outcome: Outcome,
+    /// The reason, as text for users.
+    pub reason: String,
+}
+
 /// The outcome of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

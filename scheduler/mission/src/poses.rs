@@ -207,7 +207,7 @@ impl Mission {
                     now,
                     Some((now, PositionsAsked { act: number, at: now, since: now, before: BTreeMap::new() })),
                 ),
-                Some(asked) => (asked.at, self.asked_again(now, index, (robot, asked), send_by)),
+                Some(asked) => (asked.at, self.asked_again(now, index, robot, asked, send_by)),
             };
             due = due.max(next.as_ref().map(|(when, _)| *when).filter(|when| now < *when));
             if let Some((_, question)) = next.filter(|(when, _)| *when <= now) {
@@ -250,7 +250,8 @@ impl Mission {
         &self,
         now: Timestamp<Server>,
         index: usize,
-        (robot, asked): (RobotIndex, PositionsAsked),
+        robot: RobotIndex,
+        asked: PositionsAsked,
         send_by: Option<Timestamp<Server>>,
     ) -> Option<(Timestamp<Server>, PositionsAsked)> {
         let state = &self.robots[robot];

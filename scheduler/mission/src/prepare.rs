@@ -204,7 +204,7 @@ impl Mission {
     /// The expected skew of the starts, if the act is sent now.
     fn skew_ahead(&self, act: &Act, now: Timestamp<Server>, start: Timestamp<Server>) -> Option<SkewBudget> {
         let tolerance = act.written().plan.start_tolerance;
-        SkewBudget::ahead(act.present(), &self.robots, tolerance, (now, start))
+        SkewBudget::ahead(act.present(), &self.robots, tolerance, now, start)
     }
 
     /// The indices of robots of the act whose clocks must be measured but have not been, for example after a mission was resumed.
@@ -328,7 +328,7 @@ impl Mission {
     ) -> Result<Need, Outcome> {
         let mut hold_up = self.machine.hold_up;
         loop {
-            match self.need_with((hold_up, lateness), now, act, skew) {
+            match self.need_with(hold_up, lateness, now, act, skew) {
                 Err(Outcome::LeaseTooShort { .. }) if hold_up > Span::ZERO => {
                     hold_up = if hold_up > HOLD_UP_LEAST { hold_up / 2 } else { Span::ZERO };
                 }
@@ -339,7 +339,8 @@ impl Mission {
 
     fn need_with(
         &self,
-        (hold_up, lateness): (Span, Span),
+        hold_up: Span,
+        lateness: Span,
         now: Timestamp<Server>,
         act: &Act,
         skew: Option<&SkewBudget>,

@@ -127,7 +127,7 @@ impl Mission {
             }
         };
         let says = if state.reports() { Says::ByItself } else { Says::Answers };
-        open_without_name(&self.acts, (robot, says), &response.device_id, response).filter(meant)
+        open_without_name(&self.acts, robot, says, &response.device_id, response).filter(meant)
     }
 
     fn stop_answered(
@@ -386,7 +386,8 @@ pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
 /// arrive in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
-    (robot, says): (RobotIndex, Says),
+    robot: RobotIndex,
+    says: Says,
     device: &DeviceId,
     response: &ControlResponse,
 ) -> Option<ScriptRef> {

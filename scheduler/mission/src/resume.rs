@@ -11,8 +11,8 @@ use super::kept::{Kept, Left, Progressed};
 use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
 use super::{
-    ActIndex, ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, RobotIndex,
-    ledger,
+    ActIndex, ActReport, Cause, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase,
+    RobotIndex, ledger,
 };
 
 /// Error: a promise does not match the current choreography.
@@ -187,14 +187,14 @@ impl Mission {
     }
 
     /// A mission that only withdraws what another process has left on its robots. `scenario` is the name of the scenario that the other
-    /// process played. An outcome that contradicts `left.moved` is corrected. The reason is text for users.
+    /// process played. An outcome of `cause` that contradicts `left.moved` is corrected.
     #[must_use]
     pub fn withdraw(
         scenario: String,
         participants: Vec<Participant>,
         options: MissionOptions,
         left: &Left,
-        (outcome, reason): (Outcome, String),
+        cause: Cause,
         rest: Rest,
         now: Timestamp<Server>,
     ) -> Self {
@@ -209,10 +209,11 @@ impl Mission {
             }
             mission.holds_still(robot, left, now);
         }
+        let Cause { outcome, reason } = cause;
         mission.note_failures_of(&left.failures);
         mission.course.moved_before = left.moved;
         mission.conclusion.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
-        mission.abort_because(now, (outcome, reason), rest, None);
+        mission.abort_because(now, outcome, reason, rest, None);
         mission
     }
 

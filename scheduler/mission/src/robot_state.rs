@@ -375,7 +375,8 @@ impl RobotState {
     pub(crate) fn was_spoken_to(
         &self,
         now: Timestamp<Server>,
-        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+        before: Timestamp<Robot>,
+        at: Timestamp<Robot>,
     ) -> bool {
         let (before, at) = (self.said_at(now, before), self.said_at(now, at));
         self.contact.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)

@@ -8,7 +8,7 @@ use urrcp::{
     AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Robot, Server, Span, Status, Timestamp,
 };
 
-use super::act::{Act, NamedScripts};
+use super::act::{Act, NamedScripts, ReportTimes};
 use super::exchanges::Times;
 use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
@@ -231,10 +231,10 @@ impl Mission {
         if self.robots[robot].takes_inquiries() {
             return;
         }
-        let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
+        let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, before, at));
         let state = &self.robots[robot];
-        let spoken = state.contact.questions.passed_over() || state.was_spoken_to(now, (before, at));
-        let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, (before, at)));
+        let spoken = state.contact.questions.passed_over() || state.was_spoken_to(now, before, at);
+        let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, before, at));
         if let Some(kind) = ran_out.or_else(|| broke_off().filter(|_| !spoken)) {
             self.fail(now, robot, kind);
         }
@@ -268,12 +268,8 @@ impl Mission {
             let Some(script) = self.robots[robot].requests.script(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
             let was_lost = act.script(script).is_lost();
-            let noted = act.reported(
-                script,
-                report,
-                (asked_at, response.timestamp, self.outbox.arrived),
-                &self.robots,
-            );
+            let times = ReportTimes { asked_at, said_at: response.timestamp, arrived: self.outbox.arrived };
+            let noted = act.reported(script, report, times, &self.robots);
             let elsewhere = act.runs_elsewhere(script, &self.robots[robot], now);
             elsewhere
                 .filter(|_| !was_lost)

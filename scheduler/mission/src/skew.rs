@@ -134,7 +134,8 @@ impl SkewBudget {
         members: impl Iterator<Item = &'a Member>,
         robots: &Robots,
         tolerance: Span,
-        (now, start): (Timestamp<urrcp::Server>, Timestamp<urrcp::Server>),
+        now: Timestamp<urrcp::Server>,
+        start: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
         Self::with(members, robots, tolerance, start, |member, offset| {
             robots[member.robot].clock_at(now).map_or(Span::ZERO, |reading| offset - reading.offset)
@@ -364,7 +365,7 @@ mod tests {
         }
         robots[R1].settings.clock = ClockMode::Measured;
         let members = crate::act::members(&choreography.acts[0].plan, &robots);
-        let budget = |start| SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), start)).unwrap();
+        let budget = |start| SkewBudget::ahead(members.iter(), &robots, ms(60), at(11), start).unwrap();
         let (now, later) = (budget(at(11)), budget(at(2_011)));
         for (now, later) in now.robots.iter().zip(&later.robots) {
             assert_eq!(later.uncertainty - now.uncertainty, Span::from_micros(200), "100 ppm of 2 s");
@@ -445,7 +446,7 @@ mod tests {
         };
         let before = SkewBudget::of(members.iter(), &robots, ms(60), at(11));
         assert_eq!(offsets(before), [30, 0]);
-        let ahead = SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), at(1_011)));
+        let ahead = SkewBudget::ahead(members.iter(), &robots, ms(60), at(11), at(1_011));
         assert_eq!(offsets(ahead), [30, 0], "its rate is unknown");
         let sent = SkewBudget::of_sent(members.iter(), &robots, ms(60), at(11));
         assert_eq!(offsets(sent), [30, 30], "nothing was translated");

@@ -42,7 +42,7 @@ impl Mission {
             Phase::Performing if rest == Rest::Home && self.is_on_its_way_home() => {}
             Phase::Performing => {
                 let reason = self.conclusion.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
-                self.abort_because(now, (Outcome::Stopped, reason), rest, None);
+                self.abort_because(now, Outcome::Stopped, reason, rest, None);
             }
             // The planned continuation after the stop is cancelled.
             Phase::Stopping { .. } => {
@@ -114,14 +114,15 @@ impl Mission {
         then: Option<ActIndex>,
     ) {
         let reason = outcome.hold_up().unwrap_or_else(|| outcome.to_string());
-        self.abort_because(now, (outcome, reason), rest, then);
+        self.abort_because(now, outcome, reason, rest, then);
     }
 
     /// Like `abort`, but with a reason for users that contains more than the outcome.
     pub(super) fn abort_because(
         &mut self,
         now: Timestamp<Server>,
-        (outcome, reason): (Outcome, String),
+        outcome: Outcome,
+        reason: String,
         rest: Rest,
         then: Option<ActIndex>,
     ) {

@@ -493,7 +493,7 @@ fn start_without_id_belongs_to_a_held_script() {
     let accepted = Message::ControlResponse(super::bench::response(&device, None, Status::Accepted, at(1)));
     let _noted = happens(&mut mission, at(1), Event::Received { robot: R0, message: accepted });
     let started = super::bench::response(&device, None, Status::Started, at(2));
-    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::Answers), &device, &started);
+    let found = requests::open_without_name(&mission.acts, R0, requests::Says::Answers, &device, &started);
     assert_eq!(found, Some(ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 0 }));
 }
 
@@ -519,8 +519,8 @@ fn expired_lease_without_id_is_assigned_to_the_shortest_open_lease() {
     let _over = acts[0].answered(script(0), &failed(ErrorCode::Cancelled), at(2), &before.robots);
     acts[0].sent(at(2), script(1));
     for (code, expected) in [(ErrorCode::Cancelled, 1), (ErrorCode::LinkLost, 0)] {
-        let says = (R0, requests::Says::ByItself);
-        let found = requests::open_without_name(&acts, says, &device, &failed(code.clone()));
+        let says = requests::Says::ByItself;
+        let found = requests::open_without_name(&acts, R0, says, &device, &failed(code.clone()));
         assert_eq!(found, Some(script(expected)), "{code}");
     }
 }
@@ -551,11 +551,11 @@ fn end_without_id_belongs_to_latest_begun_script_if_two_would_end_then() {
         }
     }
     let ended = says(Status::Ok, start + ms(400));
-    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::ByItself), &device, &ended);
+    let found = requests::open_without_name(&mission.acts, R0, requests::Says::ByItself, &device, &ended);
     let last = ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script: 1 };
     assert_eq!(found, Some(last), "the end of what began before it was not heard");
     let again = says(Status::Started, start + ms(400));
-    let found = requests::open_without_name(&mission.acts, (R0, requests::Says::ByItself), &device, &again);
+    let found = requests::open_without_name(&mission.acts, R0, requests::Says::ByItself, &device, &again);
     assert_eq!(found, None, "neither came again");
 }
 
@@ -723,12 +723,12 @@ fn failure_without_id_matches_accepted_script_only_if_robot_reports() {
                 error: super::bench::refusal(ErrorCode::Cancelled).filter(|_| status == Status::Failed),
                 ..super::bench::response(&device, None, status.clone(), at(2))
             };
-            let found = requests::open_without_name(&mission.acts, (R0, says), &device, &response);
+            let found = requests::open_without_name(&mission.acts, R0, says, &device, &response);
             assert_eq!(found.map(|found| found.script), expected, "{tells:?}, {accepted}, {status:?}");
             let named = urrcp::ControlResponse { request_id: RequestId::new("n").ok(), ..response.clone() };
-            assert_eq!(requests::open_without_name(&mission.acts, (R0, says), &device, &named), None);
+            assert_eq!(requests::open_without_name(&mission.acts, R0, says, &device, &named), None);
             let other = "b".parse().unwrap();
-            assert_eq!(requests::open_without_name(&mission.acts, (R0, says), &other, &response), None);
+            assert_eq!(requests::open_without_name(&mission.acts, R0, says, &other, &response), None);
         }
     }
 }

@@ -81,7 +81,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     if let Fate::Withdraw(why) = taken.contents.kept.fate() {
         console::note(&format!("{why}: withdrawing the mission"));
         let rest = taken.contents.kept.stopping.as_ref().map(|stopping| stopping.rest).unwrap_or_default();
-        let ending = taken.contents.kept.ending(why);
+        let cause = taken.contents.kept.ending(why);
         let programs = programs_to_reach(&taken.contents.opened, args, format);
         return super::with_runtime(async {
             let how = How {
@@ -92,7 +92,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
                 drivers: args.drivers.of(StartPrograms::Yes),
                 told: format,
             };
-            let withdrawn = withdraw_and_record(taken, &programs, ending, how).await;
+            let withdrawn = withdraw_and_record(taken, &programs, cause, how).await;
             conclude(found.opened.session.clone(), withdrawn, format)
         });
     }

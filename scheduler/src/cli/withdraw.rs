@@ -17,7 +17,7 @@ use super::{Format, console, identity, robot};
 use crate::fleet::{self, Drivers};
 use crate::journal::{Contents, FileDisk, Found, Journal, Opened, OpenedRobot, read};
 use crate::link::Site;
-use crate::mission::{Left, LeftOn, Mission, MissionOptions, Outcome, Record, Rest, Torn};
+use crate::mission::{Cause, Left, LeftOn, Mission, MissionOptions, Outcome, Record, Rest, Torn};
 use crate::report::{Report, StopState, Withdrawal};
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
@@ -174,13 +174,13 @@ pub(super) type Programs = BTreeMap<RobotId, Address>;
 pub(super) async fn withdraw_and_record(
     taken: Taken,
     programs: &Programs,
-    ending: (Outcome, String),
+    cause: Cause,
     how: How,
 ) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // If another terminal requests a stop meanwhile, it receives the result of this stop.
     let control = listen(&taken.folder, &lane, None);
-    let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, lane, operator).await?;
+    let mut withdrawn = withdraw_as(&taken.contents, programs, cause, how, lane, operator).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -206,14 +206,14 @@ pub(super) async fn withdraw(contents: &Contents, how: How) -> Result<Withdrawn,
 }
 
 /// Returns the outcome of a mission that the operator stops, and the text of this outcome for people.
-pub(super) fn by_operator() -> (Outcome, String) {
-    (Outcome::Stopped, Outcome::Stopped.to_string())
+pub(super) fn by_operator() -> Cause {
+    Cause { outcome: Outcome::Stopped, reason: Outcome::Stopped.to_string() }
 }
 
 async fn withdraw_as(
     contents: &Contents,
     programs: &Programs,
-    ending: (Outcome, String),
+    cause: Cause,
     how: How,
     lane: StopLane,
     operator: mpsc::Receiver<Operator>,
@@ -232,7 +232,7 @@ async fn withdraw_as(
     let begun = clock.now();
     let scenario = scenario_of(&contents.opened);
     let participants = fleet::participants(&robots);
-    let mission = Mission::withdraw(scenario, participants, options, &left, ending, how.rest, begun);
+    let mission = Mission::withdraw(scenario, participants, options, &left, cause, how.rest, begun);
     let site = identity::site_to_stop(&contents.opened.keys)?;
     let report = carry_out(mission, &robots, &site, clock, how, lane, operator).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })

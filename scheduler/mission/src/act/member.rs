@@ -93,7 +93,7 @@ impl Member {
 
     /// Adopts the id and the clock offset of a script from another process, which may have sent the script with them. If the robot's
     /// clock is measured, a later script may have been sent with another offset whose record is lost.
-    pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
+    pub(super) fn taken_up(&mut self, script: usize, id: RequestId, shift: Span, clock: ClockMode) {
         let follows = self.before(script).is_some();
         if !follows {
             self.shift = shift;

@@ -33,7 +33,7 @@ use crate::{ActIndex, ActNumber, IndexVec, MemberIndex, RobotIndex};
 use approaching::{Approach, Commitment};
 pub(crate) use member::{Member, Members, members};
 use member::{Part, present};
-pub(crate) use playing::LAPSE;
+pub(crate) use playing::{LAPSE, ReportTimes};
 use preparing::await_promise;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;

@@ -53,6 +53,16 @@ impl Playing {
     }
 }
 
+/// The times of a robot's report.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ReportTimes {
+    /// The sending time of the question that the report answers.
+    pub(crate) asked_at: Timestamp<Server>,
+    /// The time of the report by the robot's clock.
+    pub(crate) said_at: Timestamp<Robot>,
+    pub(crate) arrived: Timestamp<Server>,
+}
+
 /// The consequences of a robot's statement about a script.
 #[derive(Debug)]
 pub(crate) struct Noted {
@@ -126,9 +136,10 @@ impl Act {
         &mut self,
         script: ScriptRef,
         report: &RequestReport,
-        (asked_at, said_at, arrived): (Timestamp<Server>, Timestamp<Robot>, Timestamp<Server>),
+        times: ReportTimes,
         robots: &Robots,
     ) -> Noted {
+        let ReportTimes { asked_at, said_at, arrived } = times;
         if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
             return noted;
         }
@@ -411,14 +422,14 @@ impl Act {
             let newest = || member.under_way().filter_map(|(_, script)| due(script)).max();
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
-                due.is_some_and(|due| now >= due + grace && was_asked(member, script, robot, (due, grace)))
+                due.is_some_and(|due| now >= due + grace && was_asked(member, script, robot, due, grace))
             };
             if lost(script) {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
                 let awaited = format!("report about the {what} of the script on `{}`", script.plan.device);
                 failing.push((member.robot, FailureKind::Silent { awaited, within: grace * 2 }));
             } else if robot.takes_inquiries()
-                && may_be_asked(now, member.asked, newest(), robot, (again, grace))
+                && may_be_asked(now, member.asked, newest(), robot, again, grace)
             {
                 let since = member.asked_since.filter(|since| newest().is_none_or(|due| *since >= due));
                 ask.push((place, since.unwrap_or(now)));
@@ -641,7 +652,8 @@ fn may_be_asked(
     asked: Option<Timestamp<Server>>,
     due: Option<Timestamp<Server>>,
     robot: &RobotState,
-    (again, grace): (Span, Span),
+    again: Span,
+    grace: Span,
 ) -> bool {
     let Some(asked) = asked else { return true };
     let owed = robot.contact.questions.unanswered().is_some_and(|open| open <= asked);
@@ -655,7 +667,8 @@ fn was_asked(
     member: &Member,
     script: &Script,
     robot: &RobotState,
-    (due, grace): (Timestamp<Server>, Span),
+    due: Timestamp<Server>,
+    grace: Span,
 ) -> bool {
     let answered = robot.contact.questions.answered();
     if !robot.takes_inquiries() || script.is_planned() {

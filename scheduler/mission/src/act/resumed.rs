@@ -72,7 +72,7 @@ impl Act {
                     });
                 };
                 let id = promised.request_id.clone();
-                member.taken_up(index, id, (promised.shift, robot.settings.clock));
+                member.taken_up(index, id, promised.shift, robot.settings.clock);
             }
         }
         act.attempts = promise.prepared_again;

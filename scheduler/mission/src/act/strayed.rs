@@ -135,8 +135,9 @@ impl Act {
         shown: &SkewBudget,
         robots: &Robots,
     ) -> Vec<(RobotIndex, FailureKind)> {
+        let (early, late) = shown.early_and_late();
         let Some(timing) = self.stage.timing_mut() else { return Vec::new() };
-        if timing.allow_for(now, shown.early_and_late()) {
+        if timing.allow_for(now, early, late) {
             return Vec::new();
         }
         let early = shown.earlier_than(timing.early_at_most());
@@ -150,7 +151,8 @@ impl Act {
         &self,
         now: Timestamp<Server>,
         robot: RobotIndex,
-        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+        before: Timestamp<Robot>,
+        at: Timestamp<Robot>,
     ) -> Option<FailureKind> {
         use PromisedStage::{Approaching, Committed, Preparing};
         let Stage::Promised(Promised { timing, stage: Preparing(_) | Approaching(_) | Committed(_) }) =
@@ -168,7 +170,7 @@ impl Act {
             *script.state() == ScriptState::Held && unreached(script).is_some_and(|gap| gap > lease)
         };
         let script = member.firsts().find(over)?;
-        Some(link_lost(script, unreached(script)?, ("pending", lease)))
+        Some(link_lost(script, unreached(script)?, "pending", lease))
     }
 
     /// Returns the failure of a robot that cannot have kept a script that had begun, because no message reached it for longer than its
@@ -176,7 +178,8 @@ impl Act {
     pub(crate) fn broke_off(
         &self,
         robot: RobotIndex,
-        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+        before: Timestamp<Robot>,
+        at: Timestamp<Robot>,
     ) -> Option<FailureKind> {
         let timing = self.timing()?;
         let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
@@ -186,12 +189,12 @@ impl Act {
             let begins = begins.assume_clock();
             let over = before + lease;
             let broken = begins <= over && over < begins + script.duration() && over + GRAIN < at;
-            broken.then(|| link_lost(script, at - before, ("running", lease)))
+            broken.then(|| link_lost(script, at - before, "running", lease))
         })
     }
 }
 
-fn link_lost(script: &Script, silence: Span, (which, lease): (&str, Span)) -> FailureKind {
+fn link_lost(script: &Script, silence: Span, which: &str, lease: Span) -> FailureKind {
     let message = format!(
         "no message is known to have reached the robot for {silence}, and its {which} lease is {lease}"
     );

@@ -143,7 +143,7 @@ impl Pace {
 
     /// Returns the pace for a fleet that may start earlier or later than measured, and so needs a longer last lease. `None` if that
     /// exceeds `lease`, because a single message could no longer extend a lease beyond all starts.
-    fn widened(self, (early, late): (Span, Span), lease: Span) -> Option<Self> {
+    fn widened(self, early: Span, late: Span, lease: Span) -> Option<Self> {
         let (early, late) = (self.early.max(early), self.late.max(late));
         let lease_least = self.lease_least + (early - self.early) + (late - self.late);
         let final_lease = match self.leases {
@@ -225,9 +225,9 @@ impl Timing {
     /// Adapts the leases to a clock that was set since the act was sent. Its robot may start earlier or later than planned, within the
     /// tolerance. The leases must end before that start, or the commitment must extend them beyond it. Two of the last rounds must remain
     /// for this, and robots that still play must not be left without a message for too long. Returns whether all of this is possible.
-    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) -> bool {
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early: Span, late: Span) -> bool {
         let before = self.pace;
-        let widened = before.widened(early_and_late, self.lead.lease);
+        let widened = before.widened(early, late, self.lead.lease);
         let Some(pace) = widened.filter(|pace| self.played.is_none_or(|lease| pace.silence() <= lease))
         else {
             return false;
@@ -455,7 +455,7 @@ mod tests {
         let early = Span::from_millis(60);
         let allows = |played: Option<i64>| {
             let mut timing = Timing { played: played.map(Span::from_millis), ..timing.clone() };
-            let allows = timing.allow_for(timing.decision, (early, Span::ZERO));
+            let allows = timing.allow_for(timing.decision, early, Span::ZERO);
             assert_eq!(timing.pace.early == early, allows, "{played:?}");
             allows
         };
@@ -572,19 +572,19 @@ mod tests {
         let before = timing(Leases::Shortened, Span::from_millis(8));
         let (early, late) = (Span::from_millis(20), Span::from_millis(30));
         let mut widened = before.clone();
-        assert!(widened.allow_for(before.decision, (early, late)));
+        assert!(widened.allow_for(before.decision, early, late));
         assert_eq!(widened.final_lease(), before.final_lease() + Span::from_millis(19 + 28));
         assert_eq!((widened.early_at_most(), widened.pace.late), (early + Span::from_millis(4), late));
         let last = widened.critical() - widened.pace.period * 2;
         for (now, allowed) in [(last, true), (last + Span::from_nanos(1), false)] {
             let mut timing = before.clone();
-            assert_eq!(timing.allow_for(now, (early, late)), allowed);
+            assert_eq!(timing.allow_for(now, early, late), allowed);
             assert_eq!(timing.pace == before.pace, !allowed, "what is not allowed for changes nothing");
         }
         let longest = before.lead.lease - before.final_lease() + Span::from_millis(2);
         let mut timing = Timing { start: before.start + Span::from_millis(1_000), ..before.clone() };
-        assert!(!timing.allow_for(before.decision, (Span::ZERO, longest + Span::from_nanos(1))));
-        assert!(timing.allow_for(before.decision, (Span::ZERO, longest)));
+        assert!(!timing.allow_for(before.decision, Span::ZERO, longest + Span::from_nanos(1)));
+        assert!(timing.allow_for(before.decision, Span::ZERO, longest));
         assert_eq!(timing.early_at_most(), before.early_at_most(), "no earlier than it was");
     }
 }

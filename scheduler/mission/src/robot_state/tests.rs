@@ -240,7 +240,7 @@ fn reconnected_link_counts_as_broken_until_the_first_message() {
 fn message_sent_in_or_shortly_before_an_interval_may_arrive_in_it() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     let spoken = |robot: &RobotState, before, after| {
-        robot.was_spoken_to(at(10_000), (bench::by_robot(at(before)), bench::by_robot(at(after))))
+        robot.was_spoken_to(at(10_000), bench::by_robot(at(before)), bench::by_robot(at(after)))
     };
     assert!(!spoken(&robot, 0, 9_000));
     robot.contact.spoken_at = Some(at(2_000));

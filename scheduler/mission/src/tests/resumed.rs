@@ -205,8 +205,8 @@ fn start_without_id_may_belong_to_a_script_only_the_dead_process_sent() {
     let device = "a".parse().unwrap();
     for (begins, expected) in [(200, script(1)), (400, script(2))] {
         let started = super::super::bench::response(&device, None, Status::Started, start + ms(begins));
-        let says = (R0, requests::Says::ByItself);
-        assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &started), Some(expected));
+        let says = requests::Says::ByItself;
+        assert_eq!(requests::open_without_name(&resumed.acts, R0, says, &device, &started), Some(expected));
     }
 }
 
@@ -221,13 +221,13 @@ fn answer_without_id_belongs_to_a_script_that_this_process_sent() {
     let script = |script| ScriptRef { act: ActNumber::new(0), member: MemberIndex::new(0), script };
     resumed.send_script(played.now, script(2));
     let device = "a".parse().unwrap();
-    let says = (R0, requests::Says::ByItself);
+    let says = requests::Says::ByItself;
     let at = start + ms(351);
     let accepted = super::super::bench::response(&device, None, Status::Accepted, at);
-    assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &accepted), Some(script(2)));
+    assert_eq!(requests::open_without_name(&resumed.acts, R0, says, &device, &accepted), Some(script(2)));
     let mut late = super::super::bench::response(&device, None, Status::Failed, at);
     late.error = Some(ControlError::new(ErrorCode::Late, "the start passed 1 ms ago"));
-    assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &late), Some(script(2)));
+    assert_eq!(requests::open_without_name(&resumed.acts, R0, says, &device, &late), Some(script(2)));
 }
 
 /// A mission with one act of two robots that takes one second.
@@ -298,9 +298,9 @@ fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
     let failures = vec![Failure { robot: RobotId::new("r0").unwrap(), kind: broken() }];
     let left = crate::Left { robots, moved, failures, ..Default::default() };
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
-    let ending = (outcome, "why".to_owned());
+    let cause = Cause { outcome, reason: "why".to_owned() };
     let mission =
-        Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
+        Mission::withdraw("s".to_owned(), participants, options, &left, cause, Rest::InPlace, at(0));
     let mut played = Played::linked(mission, &[R0]);
     let outcome = played.run_to_the_end();
     assert!(matches!(played.mission.robots[R0].halt.stop, Stop::Confirmed(_)));

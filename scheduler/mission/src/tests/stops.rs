@@ -262,9 +262,9 @@ fn scripts_left_by_another_process_are_withdrawn_once_links_are_up() {
             let participants =
                 vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
             let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
-            let ending = (Outcome::Stopped, "why".to_owned());
+            let cause = Cause { outcome: Outcome::Stopped, reason: "why".to_owned() };
             let mut mission =
-                Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::Home, at(0));
+                Mission::withdraw("s".to_owned(), participants, options, &left, cause, Rest::Home, at(0));
             assert_eq!(mission.robots[R0].identity.own_id.as_str(), "UR5-1");
             assert_eq!(mission.robots[R0].halt.left, expected);
             let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 }));
@@ -281,9 +281,9 @@ fn script_end_without_id_does_not_confirm_stop_of_a_withdrawn_mission() {
     let left = crate::Left { robots: [("r0".parse().unwrap(), on)].into(), ..Default::default() };
     let participants = vec![Participant::new("r0".parse().unwrap(), robot("r0", Tells::Reports, 2).block)];
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
-    let ending = (Outcome::Stopped, "why".to_owned());
+    let cause = Cause { outcome: Outcome::Stopped, reason: "why".to_owned() };
     let mut mission =
-        Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
+        Mission::withdraw("s".to_owned(), participants, options, &left, cause, Rest::InPlace, at(0));
     assert_eq!(stops_in(&mission.handle(at(1), Event::LinkUp { robot: R0 })).len(), 1);
     let ok = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, at(3));
     let ended = urrcp::ControlResponse { status_value: urrcp::StatusValue::Number(45.0), ..ok.clone() };

@@ -272,8 +272,8 @@ fn stops_before_another_act(played: &mut Played, rest: Rest) {
     after.name = "after".to_owned();
     then.acts.push(after);
     played.mission.course.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
-    let failed = (Outcome::Failed, "broken".to_owned());
-    played.mission.abort_because(played.now, failed, rest, Some(ActIndex::new(1)));
+    let (failed, reason) = (Outcome::Failed, "broken".to_owned());
+    played.mission.abort_because(played.now, failed, reason, rest, Some(ActIndex::new(1)));
     let actions = std::mem::take(&mut played.mission.outbox.actions);
     played.carry_out(actions);
 }

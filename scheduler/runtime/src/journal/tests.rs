@@ -2,6 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
+use downbeat_mission::Cause;
 use downbeat_mission::report::Outcome;
 use downbeat_mission::{
     ActFate, ActFlaws, ActIndex, ActNumber, ActOver, Failure, FailureKind, Fate, Kept, OutOfTolerance,
@@ -696,12 +697,14 @@ fn kept(records: &[Record]) -> Kept {
 fn withdrawn_mission_has_outcome_of_its_latest_stop_or_failed() {
     let ending = |records: &[Record]| kept(records).ending("no act was under way");
     let died = "the process of the mission died: no act was under way".to_owned();
-    assert_eq!(ending(&[]), (Outcome::Failed, died.clone()));
+    let failed = Cause { outcome: Outcome::Failed, reason: died.clone() };
+    assert_eq!(ending(&[]), failed);
     let stopping = |outcome| Record::Stopping { outcome, rest: Rest::Home, by: None };
-    assert_eq!(ending(&[stopping(Outcome::Failed)]), (Outcome::Failed, died.clone()));
+    assert_eq!(ending(&[stopping(Outcome::Failed)]), failed);
     let late = Outcome::DecisionLate { by: Span::from_millis(3) };
-    assert_eq!(ending(&[stopping(late.clone())]), (late.clone(), died));
-    let stopped = (Outcome::Stopped, "stopped by the operator".to_owned());
+    assert_eq!(ending(&[stopping(late.clone())]), Cause { outcome: late.clone(), reason: died });
+    let reason = "stopped by the operator".to_owned();
+    let stopped = Cause { outcome: Outcome::Stopped, reason };
     assert_eq!(ending(&[stopping(late), stopping(Outcome::Stopped)]), stopped, "the latest stop counts");
     let kept = kept(&[stopping(Outcome::Stopped)]);
     assert_eq!(kept.stopping, Some(Stopping { outcome: Outcome::Stopped, rest: Rest::Home }));

@@ -10,7 +10,8 @@ use super::{BEGIN, HistoryDetail, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
-    Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, RobotIndex, ended_acts,
+    Cause, Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, RobotIndex,
+    ended_acts,
 };
 use downbeat_rehearsal::world::Virtual;
 use downbeat_runtime::journal::simulated::SimulatedDisk;
@@ -318,14 +319,14 @@ impl World {
         let left = contents.map(Contents::left).unwrap_or_default();
         let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
         self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
-        let ending = match (intention, kept.map(|kept| (kept, kept.fate()))) {
+        let cause = match (intention, kept.map(|kept| (kept, kept.fate()))) {
             (Intention::Resume, Some((kept, Fate::Withdraw(why)))) => kept.ending(why),
-            _ => (Outcome::Stopped, Outcome::Stopped.to_string()),
+            _ => Cause { outcome: Outcome::Stopped, reason: Outcome::Stopped.to_string() },
         };
         self.note(Happened::TakenUp(how));
         resumed.unwrap_or_else(|| {
             let name = "soak".to_owned();
-            Mission::withdraw(name, participants, options, &left, ending, Rest::InPlace, now)
+            Mission::withdraw(name, participants, options, &left, cause, Rest::InPlace, now)
         })
     }
 

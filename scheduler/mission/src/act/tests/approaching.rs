@@ -570,10 +570,10 @@ fn robot_not_reached_for_longer_than_its_lease_has_lost_its_script() {
     bench.decide(Leases::Fixed);
     let now = bench.now;
     let held = by_robot(now);
-    let ran_out = |before, at| bench.act.ran_out(now, R1, (before, at));
+    let ran_out = |before, at| bench.act.ran_out(now, R1, before, at);
     assert_eq!(ran_out(held, held + LEASE), None);
     assert!(matches!(ran_out(held, held + LEASE + ms(1)), Some(FailureKind::Script { .. })));
     assert_eq!(ran_out(held - LEASE, held + ms(10)), None, "it had nothing before it accepted it");
     let late = bench.timing().no_return() + ms(1);
-    assert_eq!(bench.act.ran_out(late, R1, (held, held + LEASE * 2)), None);
+    assert_eq!(bench.act.ran_out(late, R1, held, held + LEASE * 2), None);
 }

@@ -16,7 +16,7 @@ use downbeat_plan::Choreography;
 use urrcp::{ControlResponse, ErrorCode, RequestState, Server, Span, Status, Timestamp};
 
 use super::timing::{Leases, Measured, Pace};
-use super::{Act, ActAction, NamedScripts, Progressed, Timing};
+use super::{Act, ActAction, NamedScripts, Progressed, ReportTimes, Timing};
 use crate::bench::{self, Planned, R0, R1, R2, Tells, at, by_robot, ms, response};
 use crate::clock::ClockSample;
 use crate::failure_kind::FailureKind;
@@ -87,6 +87,14 @@ struct Bench {
     withdrawn: Option<(Timestamp<Server>, Outcome)>,
     told: Vec<(Timestamp<Server>, Progress)>,
     went: Option<downbeat_plan::Way>,
+}
+
+fn times(
+    asked_at: Timestamp<Server>,
+    said_at: Timestamp<urrcp::Robot>,
+    arrived: Timestamp<Server>,
+) -> ReportTimes {
+    ReportTimes { asked_at, said_at, arrived }
 }
 
 impl Bench {
@@ -297,12 +305,8 @@ impl Bench {
     fn report(&mut self, script: ScriptRef, asked: Timestamp<Server>, state: RequestState) {
         let Some(id) = self.act.script(script).request_id().cloned() else { return };
         let report = bench::report(&id, state, None);
-        let noted = self.act.reported(
-            script,
-            &report,
-            (asked, by_robot(asked + ROUND_TRIP / 2), self.now),
-            &self.robots,
-        );
+        let times = times(asked, by_robot(asked + ROUND_TRIP / 2), self.now);
+        let noted = self.act.reported(script, &report, times, &self.robots);
         self.carry_out(noted.actions);
     }
 

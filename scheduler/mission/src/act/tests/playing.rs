@@ -333,7 +333,7 @@ fn robot_that_reports_fewer_steps_than_before_fails() {
         bench.run_until(bench.start() + ms(after));
         let report = urrcp::RequestReport { steps_done, ..bench::report(&id, RequestState::Running, None) };
         let (asked, said) = (bench.now - ROUND_TRIP, by_robot(bench.now - ROUND_TRIP / 2));
-        let noted = bench.act.reported(script, &report, (asked, said, bench.now), &bench.robots);
+        let noted = bench.act.reported(script, &report, times(asked, said, bench.now), &bench.robots);
         bench.carry_out(noted.actions);
         assert_eq!(bench.failed.len(), failures, "{steps_done:?}");
     }

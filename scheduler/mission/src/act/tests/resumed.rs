@@ -217,7 +217,7 @@ fn script_reported_with_its_hash_was_accepted_and_may_have_begun() {
         let (id, hash) = (known.request_id().cloned().unwrap(), known.content_hash());
         let report = bench::report(&id, RequestState::Ended, accepted.then_some(hash));
         let report = urrcp::RequestReport { error: bench::refusal(ErrorCode::Internal), ..report };
-        let _noted = bench.act.reported(script, &report, (now, by_robot(now), now), &bench.robots);
+        let _noted = bench.act.reported(script, &report, times(now, by_robot(now), now), &bench.robots);
         assert_eq!(bench.state(R0, 0) == &ScriptState::Unknown, accepted);
     }
 }

@@ -14,7 +14,7 @@ fn plays_from(begins: i64, lasts: i64) -> Bench {
 /// Whether the script is broken off if the lease of the robot in [`plays_from`] would have ended at `ends` after the start of the act.
 fn broke_off(bench: &Bench, ends: Span) -> bool {
     let over = by_robot(bench.start() + ends);
-    let lost = bench.act.broke_off(R1, (over - bench::RUNNING, over + ms(6)));
+    let lost = bench.act.broke_off(R1, over - bench::RUNNING, over + ms(6));
     if let Some(kind) = &lost {
         assert!(
             matches!(kind, FailureKind::Script { error, .. } if error.code == ErrorCode::LinkLost),
@@ -59,8 +59,7 @@ fn script_interruption_is_judged_by_a_robot_clock_that_is_ahead() {
 fn silence_within_the_resolution_of_a_coarse_clock_interrupts_nothing() {
     let bench = plays_from(300, 4_000);
     let before = by_robot(bench.start() + ms(100));
-    let broke_off =
-        |after: Span| bench.act.broke_off(R1, (before, before + bench::RUNNING + after)).is_some();
+    let broke_off = |after: Span| bench.act.broke_off(R1, before, before + bench::RUNNING + after).is_some();
     assert!(!broke_off(ms(5)));
     assert!(broke_off(ms(5) + Span::from_nanos(1)));
 }
