@@ -74,8 +74,19 @@ ROBOT = """id: robot
 api_version: '1'
 reports: true
 devices:
-  - {{id: level, unit: '{unit}', default_value: 0, available_control_types: {{position: {{min_value: 0, max_value: 100, granularity: 1}}, script: {{max_number_of_steps: 200}}}}}}
-  - {{id: fade, unit: '{unit}', default_value: 0, interpolation: linear, available_control_types: {{position: {{min_value: 0, max_value: 100, granularity: 0.01}}, script: {{max_number_of_steps: 200}}}}}}
+  - id: level
+    unit: '{unit}'
+    default_value: 0
+    available_control_types:
+      position: {{min_value: 0, max_value: 100, granularity: 1}}
+      script: {{max_number_of_steps: 200}}
+  - id: fade
+    unit: '{unit}'
+    default_value: 0
+    interpolation: linear
+    available_control_types:
+      position: {{min_value: 0, max_value: 100, granularity: 0.01}}
+      script: {{max_number_of_steps: 200}}
 """
 
 
