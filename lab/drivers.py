@@ -74,8 +74,19 @@ ROBOT = """id: robot
 api_version: '1'
 reports: true
 devices:
-  - {{id: level, unit: '{unit}', default_value: 0, available_control_types: {{position: {{min_value: 0, max_value: 100, granularity: 1}}, script: {{max_number_of_steps: 200}}}}}}
-  - {{id: fade, unit: '{unit}', default_value: 0, interpolation: linear, available_control_types: {{position: {{min_value: 0, max_value: 100, granularity: 0.01}}, script: {{max_number_of_steps: 200}}}}}}
+  - id: level
+    unit: '{unit}'
+    default_value: 0
+    available_control_types:
+      position: {{min_value: 0, max_value: 100, granularity: 1}}
+      script: {{max_number_of_steps: 200}}
+  - id: fade
+    unit: '{unit}'
+    default_value: 0
+    interpolation: linear
+    available_control_types:
+      position: {{min_value: 0, max_value: 100, granularity: 0.01}}
+      script: {{max_number_of_steps: 200}}
 """
 
 
@@ -165,12 +176,12 @@ def ended(process):
 
 
 def play(stage, late, off, missing):
-    """Plays a mission and judges the received values. Returns whether it was played."""
+    """Plays a mission and judges the received values. Returns whether nothing arrived after its end, or `None` if it was not played."""
     before = time.time()
     code, report = ended(stage.run("show"))
     if code not in PLAYED:
         print(f"{stage.name}: a mission was not played: {'; '.join(reports.failures(report))}", file=sys.stderr)
-        return False
+        return None
     end = time.time()
     start = reports.instant(report["acts"][0]["start"])
     time.sleep(0.3)
@@ -213,8 +224,8 @@ def main():
     parser.add_argument("--drivers", nargs="*", default=list(SETUPS), choices=list(SETUPS))
     options = parser.parse_args()
     downbeat = program.find_downbeat(options.downbeat)
-    table = Table("driver", "values", "median ms", "p95 ms", "max ms", "missing", "ramp p95", "silent", "stopped", "killed before", "during",
-                  widths=[11] + [9] * 10, left=1)
+    table = Table("driver", "missions", "values", "median ms", "p95 ms", "max ms", "missing", "ramp p95", "silent", "stopped", "killed before", "during",
+                  widths=[11] + [9] * 11, left=1)
     failed, reasons = False, []
     for name in options.drivers:
         if importlib.util.find_spec(SETUPS[name].package) is None or name == "mqtt" and shutil.which("mosquitto_sub") is None:
@@ -224,13 +235,14 @@ def main():
             stage = Stage(name, Path(folder), downbeat, processes)
             stage.start_counterpart()
             late, off, missing = [], [], []
-            is_silent = all([play(stage, late, off, missing) for _ in range(options.missions)])
+            played = [play(stage, late, off, missing) for _ in range(options.missions)]
+            is_silent = False not in played
             stopped, is_over = stop(stage)
             during = kill(stage, before=False)
             stage.start_counterpart()
             before = kill(stage, before=True)
             p95 = quantile(late, 0.95)
-            table.row(name, len(late), quantile(late, 0.5), p95, max(late, default=float("nan")), len(missing), quantile(off, 0.95),
+            table.row(name, sum(each is not None for each in played), len(late), quantile(late, 0.5), p95, max(late, default=float("nan")), len(missing), quantile(off, 0.95),
                       "yes" if is_silent and is_over else "no", stopped, before[0], during[0])
             reasons += [f"{name}, killed before: {before[1]}", f"{name}, killed during: {during[1]}"]
             failed |= not p95 < LATE_P95_MS or bool(missing) or not is_silent or not is_over or stopped != STOPPED

@@ -18,7 +18,7 @@ pub(super) struct DriversArgs {
 }
 
 /// A driver in the list.
-#[derive(Debug, Serialize)]
+#[derive(Debug)]
 struct Listed {
     name: &'static str,
     hardware: &'static str,

@@ -34,7 +34,9 @@ class Crazyflie(Hardware):
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--take-off", type=float, metavar="METRES", help="take off to this height before the driver is ready, for example to measure the drone by `downbeat calibrate`; it needs a longer --driver-start-timeout")
+        parser.add_argument("--take-off", type=float, metavar="METRES",
+                            help="take off to this height before the driver is ready, for example to measure the drone by `downbeat calibrate`; "
+                            "it needs a longer --driver-start-timeout")
 
     def wire(self, device: Device, place: Optional[str]) -> str:
         place = place or device.id

@@ -66,7 +66,8 @@ class Dynamixel(Hardware):
             low, high = (self._degrees(self._get(servo, limit, 4)) for limit in (LIMIT_LOW, LIMIT_HIGH))
             lowest, highest = (bound * factor(device, ANGLES) for bound in bounds(device, "position"))
             if lowest < low - 0.1 or highest > high + 0.1:
-                raise Refused(f"device `{device.id}` may go from {lowest:g} to {highest:g} deg, but servo {servo} from {low:.1f} to {high:.1f}; change `min_value` and `max_value` in its description")
+                raise Refused(f"device `{device.id}` may go from {lowest:g} to {highest:g} deg, but servo {servo} from {low:.1f} to {high:.1f}; "
+                              "change `min_value` and `max_value` in its description")
         if not self._get(servo, TORQUE, 1):
             # Otherwise the servo would move to an old goal.
             if not turns:

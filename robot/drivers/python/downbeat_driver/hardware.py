@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -237,4 +238,6 @@ def main(driver: type[Hardware]) -> None:
     parser.add_argument("target", help=driver.target_help)
     parser.add_argument("places", nargs="*", metavar="DEVICE=PLACE", help=driver.place_help)
     driver.add_options(parser)
+    # Otherwise a library that polls in a loop delays other threads by up to 5 ms.
+    sys.setswitchinterval(0.0005)
     driver(parser.parse_intermixed_args()).run()

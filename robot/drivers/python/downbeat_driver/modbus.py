@@ -46,7 +46,8 @@ class Modbus(Hardware):
         kind = match[1] or "h" if match else "h"
         if match is None or (match[3] or "int16") not in TYPES or (kind == "i" and not device.is_sensor):
             writable = "" if device.is_sensor else "; input registers can only be read"
-            raise Refused(f"`{place}` is not a place for `{device.id}`, expected [h|i|c]ADDRESS[:TYPE][*SCALE], with a type of {', '.join(TYPES)}{writable}")
+            raise Refused(f"`{place}` is not a place for `{device.id}`, expected [h|i|c]ADDRESS[:TYPE][*SCALE], "
+                          f"with a type of {', '.join(TYPES)}{writable}")
         return Register(kind, int(match[2]), match[3] or "int16", float(match[4] or 1))
 
     def connect(self) -> None:

@@ -27,8 +27,10 @@ class Mqtt(Hardware):
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--alive", metavar="TOPIC", help="a topic to which the hardware publishes by itself; without it, only the broker is known to be alive")
-        parser.add_argument("--silence-ms", type=float, default=1000, help="longest time between two messages to the topic of --alive (default: 1000)")
+        parser.add_argument("--alive", metavar="TOPIC",
+                            help="a topic to which the hardware publishes by itself; without it, only the broker is known to be alive")
+        parser.add_argument("--silence-ms", type=float, default=1000,
+                            help="longest time between two messages to the topic of --alive (default: 1000)")
         parser.add_argument("--user", help="name for the broker; the password is in the environment variable MQTT_PASSWORD")
 
     def wire(self, device: Device, place: Optional[str]) -> tuple[str, str]:

@@ -39,6 +39,7 @@ def servo(device: Device, place: Optional[str], channels: int) -> Optional[Servo
         return None
     match = _PLACE.fullmatch(place or "")
     if match is None or int(match[1]) >= channels or (match[2] and match[2] == match[3]):
-        raise Refused(f"`{place}` is not a place for `{device.id}`, expected CHANNEL or CHANNEL:SHORTEST-LONGEST, with a channel of 0 to {channels - 1}, for example {device.id}=0:1000-2000")
+        raise Refused(f"`{place}` is not a place for `{device.id}`, expected CHANNEL or CHANNEL:SHORTEST-LONGEST, "
+                      f"with a channel of 0 to {channels - 1}, for example {device.id}=0:1000-2000")
     low, high = bounds(device, "sensor" if device.is_sensor else "position")
     return Servo(int(match[1]), low, high, float(match[2] or 1000), float(match[3] or 2000))

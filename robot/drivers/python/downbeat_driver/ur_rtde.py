@@ -28,7 +28,8 @@ class UrRtde(Hardware):
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--lookahead-s", type=float, default=0.05, help="smoothing of servoJ, 0.03 to 0.2 s; the arm follows later by about this time (default: 0.05)")
+        parser.add_argument("--lookahead-s", type=float, default=0.05,
+                            help="smoothing of servoJ, 0.03 to 0.2 s; the arm follows later by about this time (default: 0.05)")
         parser.add_argument("--gain", type=float, default=300, help="gain of servoJ, 100 to 2000 (default: 300)")
 
     def wire(self, device: Device, place: Optional[str]) -> int:
@@ -53,7 +54,8 @@ class UrRtde(Hardware):
             goal[joint] = value.value * self.units[value.device]
             away = abs(math.degrees(goal[joint] - actual[joint]))
             if away > JUMP_MAX_DEG:
-                raise Refused(f"`{value.device}` is {away:.0f} deg away from {value.value:g}, expected at most {JUMP_MAX_DEG:g}; begin the act with a linear movement")
+                raise Refused(f"`{value.device}` is {away:.0f} deg away from {value.value:g}, expected at most {JUMP_MAX_DEG:g}; "
+                              "begin the act with a linear movement")
         if not self.control.servoJ(goal, 0.5, 0.5, 1 / self.moves_per_second, self.options.lookahead_s, self.options.gain):
             raise ConnectionError("the controller does not take a target; its control script may have ended")
         self.goal = goal
