@@ -174,7 +174,9 @@ mod tests {
             let (length, from) = socket.recv_from(&mut buffer).unwrap();
             let asked = ArtCommand::from_buffer(&buffer[..length]).unwrap();
             assert!(matches!(asked, ArtCommand::Poll(_)), "{asked:?}");
-            replies.iter().for_each(|reply| drop(socket.send_to(reply, from).unwrap()));
+            for reply in &replies {
+                socket.send_to(reply, from).unwrap();
+            }
         })
     }
 
