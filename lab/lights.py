@@ -83,7 +83,7 @@ def network():
     """Connects the machines, and lets multicasts of the desk reach the lights."""
     ip("-n", DESK, "link", "add", "eth0", "type", "veth", "peer", "name", "eth0", "netns", LIGHTS)
     for machine, address in ((LIGHTS, LIGHTS_ADDRESS), (DESK, DESK_ADDRESS)):
-        ip("-n", machine, "addr", "add", f"{address}/24", "dev", "eth0")
+        ip("-n", machine, "addr", "add", f"{address}/24", "brd", "+", "dev", "eth0")
         ip("-n", machine, "link", "set", "eth0", "up")
         ip("-n", machine, "route", "add", "239.0.0.0/8", "dev", "eth0")
 

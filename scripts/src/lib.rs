@@ -48,7 +48,9 @@ pub use approach::{Approach, add_approach, plan_approach};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
-pub use downbeat_fleet::address::{Address, DmxAddress, DmxProtocol, InvalidAddress, OscAddress, Protection};
+pub use downbeat_fleet::address::{
+    Address, DmxAddress, DmxProtocol, InvalidAddress, MavlinkAddress, OscAddress, Protection, VehicleEnd,
+};
 pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,

@@ -11,6 +11,7 @@ mod dmx;
 mod grid;
 mod lifeline;
 mod mailbox;
+mod mavlink;
 #[cfg(feature = "osc")]
 mod osc;
 mod planned;
@@ -38,6 +39,9 @@ pub use self::dmx::{
 };
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox, Sampled};
+#[cfg(feature = "mavlink")]
+pub use self::mavlink::{HeardVehicle, MAVLINK_PORT, MavlinkVehicle, hear_mavlink};
+pub use self::mavlink::{MavlinkAddress, TAKEOFF_MM, VehicleEnd};
 #[cfg(feature = "osc")]
 pub use self::osc::{OscAddress, OscRobot};
 pub(crate) use self::planned::PlanNews;

@@ -2,11 +2,13 @@
 
 use urrcp::{InitializationBlock, RobotId};
 
+#[cfg(feature = "mavlink")]
+use super::MavlinkVehicle;
 #[cfg(feature = "thrift")]
 use super::ThriftRobot;
 #[cfg(feature = "dmx")]
 use super::{DmxAddress, DmxFixture};
-use super::{Driver, DriverError, Program, SimulatedDriver, Timeouts};
+use super::{Driver, DriverError, MavlinkAddress, Program, SimulatedDriver, Timeouts};
 #[cfg(feature = "osc")]
 use super::{OscAddress, OscRobot};
 
@@ -31,6 +33,8 @@ pub enum DriverSpec {
     /// `osc:...`: a receiver of Open Sound Control.
     #[cfg(feature = "osc")]
     Osc(OscAddress),
+    /// `mavlink:...`: a vehicle that speaks MAVLink.
+    Mavlink(MavlinkAddress),
     /// `program:COMMAND`: a program that receives lines on its standard input.
     Program {
         /// Command line that a shell executes.
@@ -70,6 +74,13 @@ impl DriverSpec {
             Self::Dmx(address) => Box::new(DmxFixture::new(address.clone(), block)?),
             #[cfg(feature = "osc")]
             Self::Osc(address) => Box::new(OscRobot::new(address.clone(), block)?),
+            #[cfg(feature = "mavlink")]
+            Self::Mavlink(address) => Box::new(MavlinkVehicle::new(address.clone(), block)?),
+            #[cfg(not(feature = "mavlink"))]
+            Self::Mavlink(_) => {
+                let reason = "this program was built without MAVLink; build it with `cargo build --release --features mavlink`";
+                return Err(DriverError::Refused(reason.to_owned()));
+            }
             Self::Program { command } => Box::new(Program::new(command, block)?.within(timeouts)),
         })
     }

@@ -8,8 +8,9 @@ use downbeat_robot::driver::{self, AtEnd, Driver, DriverError, DriverOptions, Dr
 use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
 use downbeat_scripts::{
-    Act, Address, Choreography, DmxAddress, DmxProtocol, Fleet, FleetRobot, Handshake, MissionSettings,
-    OscAddress, Plan, Positions, RateLimits, SimulatedMoves, Wait, counted, plan_approach, plan_home,
+    Act, Address, Choreography, DmxAddress, DmxProtocol, Fleet, FleetRobot, Handshake, MavlinkAddress,
+    MissionSettings, OscAddress, Plan, Positions, RateLimits, SimulatedMoves, VehicleEnd, Wait, counted,
+    plan_approach, plan_home,
 };
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
@@ -293,6 +294,7 @@ pub fn driver_of(address: &Address) -> Option<DriverSpec> {
         Address::Osc(OscAddress { host, port, path }) => {
             Some(DriverSpec::Osc(driver::OscAddress::new(host.clone(), *port, path.clone())))
         }
+        Address::Mavlink(address) => Some(DriverSpec::Mavlink(vehicle(address))),
         Address::Program { command } => Some(DriverSpec::Program { command: command.clone() }),
     }
 }
@@ -305,6 +307,18 @@ fn fixture(address: &DmxAddress) -> driver::DmxAddress {
     let at_end = if address.blackout { AtEnd::Blackout } else { AtEnd::Hold };
     driver::DmxAddress::new(protocol, address.universe, address.channel, address.host.clone())
         .with_priority(address.priority.unwrap_or(driver::PRIORITY))
+        .with_at_end(at_end)
+}
+
+fn vehicle(address: &MavlinkAddress) -> driver::MavlinkAddress {
+    let at_end = match address.at_end {
+        VehicleEnd::Hold => driver::VehicleEnd::Hold,
+        VehicleEnd::Land => driver::VehicleEnd::Land,
+        VehicleEnd::ReturnToLaunch => driver::VehicleEnd::ReturnToLaunch,
+    };
+    driver::MavlinkAddress::new(address.host.clone(), address.port)
+        .with_system(address.system)
+        .with_takeoff(address.takeoff_mm.unwrap_or(driver::TAKEOFF_MM))
         .with_at_end(at_end)
 }
 

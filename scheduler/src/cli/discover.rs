@@ -63,6 +63,7 @@ struct Found {
     robots: Vec<FoundRobot>,
     art_net: Vec<FoundLights>,
     sacn: Vec<FoundLights>,
+    mavlink: Vec<FoundVehicle>,
     /// Kinds that could not be asked, each with the reason.
     not_asked: Vec<NotAsked>,
 }
@@ -83,6 +84,14 @@ struct FoundLights {
     address: IpAddr,
     name: String,
     universes: Vec<u16>,
+}
+
+/// A vehicle that sends heartbeats of MAVLink.
+#[derive(Debug, Serialize)]
+struct FoundVehicle {
+    address: SocketAddr,
+    system: u8,
+    kind: String,
 }
 
 #[derive(Debug, Serialize)]
@@ -158,6 +167,7 @@ async fn listen(args: &DiscoverArgs, networks: &[Network]) -> Found {
     let own: Vec<Ipv4Addr> = networks.iter().map(|network| network.own).collect();
     let art_net = tokio::task::spawn_blocking(move || poll_art_net(&broadcasts, wait));
     let sacn = tokio::task::spawn_blocking(move || hear_sacn(&own, wait));
+    let vehicles = tokio::task::spawn_blocking(move || vehicles(wait));
     let robots = robots(args, networks).await;
     let mut found = Found { robots, ..Found::default() };
     let lights =
@@ -175,14 +185,32 @@ async fn listen(args: &DiscoverArgs, networks: &[Network]) -> Found {
         Ok(sources) => found.sacn = sources.into_iter().map(source).collect(),
         Err(reason) => found.not_asked.push(NotAsked { kind: "sACN", reason }),
     }
+    match vehicles.await.map_err(|error| error.to_string()).flatten() {
+        Ok(vehicles) => found.mavlink = vehicles,
+        Err(reason) => found.not_asked.push(NotAsked { kind: "MAVLink", reason }),
+    }
     found
+}
+
+#[cfg(feature = "mavlink")]
+fn vehicles(wait: Duration) -> Result<Vec<FoundVehicle>, String> {
+    use downbeat_robot::driver::{HeardVehicle, hear_mavlink};
+    let vehicle =
+        |heard: HeardVehicle| FoundVehicle { address: heard.from, system: heard.system, kind: heard.kind };
+    let heard = hear_mavlink(wait).map_err(|error| error.to_string())?;
+    Ok(heard.into_iter().map(vehicle).collect())
+}
+
+#[cfg(not(feature = "mavlink"))]
+fn vehicles(_: Duration) -> Result<Vec<FoundVehicle>, String> {
+    Err("this build lacks the feature `mavlink`".to_owned())
 }
 
 fn joined<T>(ended: Result<std::io::Result<T>, tokio::task::JoinError>) -> Result<T, String> {
     ended.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
 }
 
-/// Number of addresses that are asked for a robot at the same time.
+/// Number of addresses to which connections are opened at the same time.
 const AT_ONCE: usize = 128;
 /// Time for a connection to an address of the own network.
 const CONNECT_MAX: Duration = Duration::from_millis(1_000);
@@ -256,13 +284,21 @@ fn print(args: &DiscoverArgs, networks: &[Network], found: &Found) {
             table.add([kind.to_owned(), address.to_string(), shown(name).to_string(), details]);
         }
     }
+    for FoundVehicle { address, system, kind } in &found.mavlink {
+        table.add([
+            "MAVLink vehicle".to_owned(),
+            address.to_string(),
+            format!("system {system}"),
+            kind.clone(),
+        ]);
+    }
     if table.is_empty() {
         console::note("nothing answered");
     } else {
         console::print(&table.text(console::columns()));
     }
     for NotAsked { kind, reason } in &found.not_asked {
-        console::warn(&format!("{kind} was not asked: {reason}"));
+        console::note(&format!("{kind} was not asked: {reason}"));
     }
     for network in
         networks.iter().filter(|network| network.others().next().is_none() && !network.own.is_loopback())

@@ -32,6 +32,7 @@ Drivers:
   sim                 drive nothing
   sacn:1/13, artnet:1/13@HOST  drive a DMX fixture: universe 1, first channel 13
   osc:HOST:PORT/PATH  send Open Sound Control messages
+  mavlink:udp:HOST:PORT  fly a multicopter, in a build with the feature mavlink
   thrift://HOST:PORT  drive a robot that speaks Thrift URRCP
   program:COMMAND     write lines to a program's standard input
 
@@ -63,7 +64,7 @@ pub(super) struct EdgeArgs {
 }
 
 /// The accepted forms of `--driver`, for messages to the user.
-const DRIVERS: &str = "sim, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND";
+const DRIVERS: &str = "sim, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, mavlink:udp:host:port, thrift://host:port or program:COMMAND";
 
 /// Samples per second of one device, or of all devices if `device` is `None`.
 #[derive(Clone, Debug, PartialEq)]

@@ -253,7 +253,7 @@ fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, 
     told
 }
 
-/// Asks the robot at an endpoint for its description. Returns the reason if there is none.
+/// Asks the robot at an endpoint for its description. Returns the reason if it sends none.
 pub(super) async fn description(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, String> {
     let clock = ServerClock::anchored(Span::ZERO);
     let (events, happened) = mpsc::channel(64);

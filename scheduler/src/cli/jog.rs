@@ -150,10 +150,7 @@ pub(super) fn jog(args: &JogArgs, format: Format) -> Exit {
         && terminal::can_draw();
     super::with_runtime(async {
         let work = Work { args, fleet: &fleet, robot, sliders, format };
-        let ended = match by_hand {
-            true => work.on_screen().await,
-            false => work.once(&targets, save.as_ref()).await,
-        };
+        let ended = if by_hand { work.on_screen().await } else { work.once(&targets, save.as_ref()).await };
         ended.unwrap_or_else(|error| {
             console::error(&format!("{}: {error}", shown(args.robot.as_str())));
             Exit::Failed

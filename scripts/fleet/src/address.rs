@@ -1,12 +1,14 @@
 //! Addresses of robots, as written in the fleet file and on the command line.
 
 mod driven;
+mod middleware;
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
 pub use driven::{DEFAULT_PRIORITY, DmxAddress, DmxProtocol, OscAddress};
+pub use middleware::{MavlinkAddress, VehicleEnd};
 use urrcp::RobotId;
 
 /// The address of a robot.
@@ -41,6 +43,8 @@ pub enum Address {
     Dmx(DmxAddress),
     /// `osc:...`: a receiver of Open Sound Control. This process drives it.
     Osc(OscAddress),
+    /// `mavlink:...`: a vehicle that speaks MAVLink. This process drives it.
+    Mavlink(MavlinkAddress),
     /// `program:COMMAND`: a robot that this process drives through a separate program.
     Program {
         /// The command line of the program, for a shell.
@@ -81,6 +85,7 @@ impl fmt::Display for Address {
             Self::Zenoh { key } => write!(f, "zenoh:{key}"),
             Self::Dmx(address) => address.fmt(f),
             Self::Osc(address) => address.fmt(f),
+            Self::Mavlink(address) => address.fmt(f),
             Self::Program { command } => write!(f, "program:{command}"),
         }
     }
@@ -117,6 +122,10 @@ impl Address {
                 vec![Reached { host: ReachedHost::Key(fixture.to_string()), port: 0 }]
             }
             Self::Osc(address) => vec![Reached { host: ReachedHost::Key(address.to_string()), port: 0 }],
+            // Two processes cannot listen at the same port.
+            Self::Mavlink(MavlinkAddress { host, port, .. }) => {
+                vec![Reached { host: ReachedHost::Key(format!("mavlink:{host}")), port: *port }]
+            }
             Self::Simulated | Self::Program { .. } => Vec::new(),
         }
     }
@@ -132,7 +141,7 @@ impl Address {
     /// Whether this process drives the hardware at the address by itself, without another program.
     #[must_use]
     pub const fn is_driven(&self) -> bool {
-        matches!(self, Self::Thrift { .. } | Self::Dmx(_) | Self::Osc(_))
+        matches!(self, Self::Thrift { .. } | Self::Dmx(_) | Self::Osc(_) | Self::Mavlink(_))
     }
 
     /// Whether commands to the robot cross a network where others can send commands as well: plain TCP to a different machine.
@@ -182,7 +191,7 @@ fn is_key(text: &str) -> bool {
 pub struct InvalidAddress;
 
 /// The accepted forms of addresses, for messages to the user.
-pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND";
+pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, mavlink:udp:host:port, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for InvalidAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -199,7 +208,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
         let hint = "a key consists of words separated by slashes, without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
         return ("has no valid key", Some(hint.to_owned()));
     }
-    if let Some((what, hint)) = driven::fault(text) {
+    if let Some((what, hint)) = driven::fault(text).or_else(|| middleware::fault(text)) {
         return (what, Some(hint));
     }
     let (scheme, rest) = match text.split_once("://") {
@@ -268,6 +277,7 @@ impl Address {
             "sacn" => return DmxAddress::parse(DmxProtocol::Sacn, rest).map(Self::Dmx),
             "artnet" => return DmxAddress::parse(DmxProtocol::ArtNet, rest).map(Self::Dmx),
             "osc" => return OscAddress::parse(rest).map(Self::Osc),
+            "mavlink" => return MavlinkAddress::parse(rest).map(Self::Mavlink),
             _ => {}
         }
         let (rest, id) = match rest.split_once("?id=").filter(|_| scheme == "thrift") {

@@ -98,9 +98,9 @@ keys! {
         init: kinds::TEXT,
         /// Values that the description of a Thrift robot lacks, by device id.
         devices: Kind::Entries(&DeviceKeys::KIND),
-        /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, thrift://host:port or program:COMMAND.
+        /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, mavlink:udp:host:port, thrift://host:port or program:COMMAND.
         #[required]
-        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac)://.+:\\d+|thrift://.+:\\d+(\\?id=.+)?|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|program:.*\\S.*)$"}),
+        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac)://.+:\\d+|thrift://.+:\\d+(\\?id=.+)?|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|mavlink:udp:.+:\\d+.*|program:.*\\S.*)$"}),
         /// The `id` that the robot itself declares, if that differs from its name here.
         robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
         simulate: SimulateKeys::KIND,

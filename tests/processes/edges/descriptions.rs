@@ -46,7 +46,8 @@ fn drivers_refuse_multiple_control_types_and_ids_with_spaces() {
     refused("thrift://localhost:1").says(2, &["`two wheels` has several control types"]);
     refused("program:true")
         .says(2, &["the id of device `two wheels` contains a space or a control character"]);
-    refused("serial:x").says(2, &["osc:host:port/path, thrift://host:port or program:COMMAND"]);
+    refused("serial:x")
+        .says(2, &["osc:host:port/path, mavlink:udp:host:port, thrift://host:port or program:COMMAND"]);
 }
 
 #[test]
