@@ -1,4 +1,5 @@
 // How close the mission comes to its limits: distances, speeds, accelerations and the bounds of the space, over time.
+import { playedUntil } from "../data/fate";
 import type { Show } from "../data/show";
 import { partsOf, type Core } from "../stage/parts";
 import { closestPair } from "../stage/closest";
@@ -14,6 +15,7 @@ export interface Series {
   /** The limit, and whether values have to stay above it. `null`: no limit is known. */
   limit: number | null;
   above: boolean;
+  /** In order of time. Only of distances, the instants may differ from those of the other series. */
   at: Float64Array;
   /** NaN if it is not known. */
   values: Float64Array;
@@ -31,7 +33,7 @@ export function* compute(show: Show): Generator<void, Series[]> {
   const { from, to } = show.mission;
   const at = Float64Array.from({ length: INSTANTS + 1 }, (_, i) => Math.max(from, 0) + ((to - Math.max(from, 0)) * i) / INSTANTS);
   const make = (kind: Kind, name: string, unit: string, limit: number | null, above: boolean): Series => ({
-    kind, name, unit, limit, above, at, values: new Float64Array(at.length).fill(NaN), robots: at.length === 0 ? [] : Array.from(at, () => []),
+    kind, name, unit, limit, above, at: at.slice(), values: new Float64Array(at.length).fill(NaN), robots: at.length === 0 ? [] : Array.from(at, () => []),
   });
   const { robots, space } = show.mission;
   const least = (values: (number | null | undefined)[]) => values.reduce<number | null>((low, value) => (value != null && (low === null || value < low) ? value : low), null);
@@ -45,12 +47,28 @@ export function* compute(show: Show): Generator<void, Series[]> {
     measure(show, i, series);
     yield;
   }
+  addExact(show, series.distance);
   const known = Object.values(series).filter(({ values }) => values.some((value) => !Number.isNaN(value)));
   return known;
 }
 
+/** The closest approaches that the compiler found, which may be between two instants. */
+function addExact(show: Show, { at, values, robots }: Series): void {
+  for (const act of show.mission.acts) {
+    const closest = show.planOf(act)?.closest ?? null;
+    if (closest === null || act.start + closest.at > playedUntil(act)) continue;
+    const ms = act.start + closest.at;
+    const next = at.findIndex((instant) => instant >= ms);
+    const i = next > 0 && ms - at[next - 1] < at[next] - ms ? next - 1 : next;
+    if (i < 0 || values[i] <= closest.distance) continue;
+    at[i] = ms;
+    values[i] = closest.distance;
+    robots[i] = closest.robots;
+  }
+}
+
 function measure(show: Show, i: number, series: Record<Kind, Series>): void {
-  const ms = series.distance.at[i];
+  const ms = series.speed.at[i];
   const before = middles(poses(show, ms - OVER_MS));
   const after = middles(poses(show, ms + OVER_MS));
   const found = poses(show, ms);
