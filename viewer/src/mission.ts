@@ -32,7 +32,7 @@ export interface Mission {
   epoch: string;
   /** Time range for which data exists. */
   from: number; to: number;
-  /** The last instant of which the file contains anything. Later parts of the plan may not have been played yet. */
+  /** The time of the last entry of the file. Later parts of the plan may not have been played yet. */
   known_until: number;
   /** Why the file from which the page was made is incomplete, as text; `null` if it is complete. */
   cut_off: string | null;

@@ -217,7 +217,8 @@ test("a deviation moves the playhead to where it is", async () => {
   await page.getByLabel("Kind").selectOption("value");
   await settle();
   const row = page.locator("#deviations tbody tr").first();
-  assert.match(await row.innerText(), /cf3 \/ x\s+value\s+\+0\.12\d* m/);
+  assert.match(await row.innerText(), /cf3 \/ x\s+value\s+\+0\.13 m/);
+  assert.match(await row.locator("td.number").first().getAttribute("title"), /exactly 0\.125\d* m/);
   await row.getByRole("button").click();
   await settle();
   assert.ok(Math.abs((await playhead()) - 2250) < 2, `${await playhead()}`);

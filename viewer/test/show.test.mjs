@@ -189,3 +189,17 @@ test("without another plan there are no ghosts", () => {
   const show = showOf({ lanes: () => [] });
   assert.equal(show.ghostOfCue(show.cues[0]), null);
 });
+
+test("more than a dozen robots have one row for each group, until it is unfolded", async () => {
+  const { rowsOf, foldOfGroup, NO_FILTER } = await load("state/rows.ts");
+  const robots = Array.from({ length: 14 }, (_, i) => ({ id: `r${i}`, devices: [device("x")], body: null }));
+  const groups = [
+    { name: "all", robots: robots.map((_, i) => i) },
+    { name: "odd", robots: [1, 3, 5] },
+  ];
+  const show = showOf({ lanes: () => [], robots, groups });
+  const rows = (folded) => rowsOf(show, NO_FILTER, new Set(folded)).filter(({ kind }) => kind !== "cues");
+  const both = [foldOfGroup(0), foldOfGroup(1)];
+  assert.deepEqual(rows(both).map(({ kind, group, robots: of }) => [kind, group, of.length]), [["group", 0, 11], ["group", 1, 3]]);
+  assert.deepEqual(rows([foldOfGroup(0)]).map((row) => row.kind === "robot" ? row.robot : row.kind), ["group", "group", 1, 3, 5]);
+});

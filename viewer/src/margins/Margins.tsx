@@ -48,7 +48,7 @@ export function Margins() {
     <section class="panel margins" aria-label="Margins">
       <div class="bar">
         <h2>Margins</h2>
-        <small>{series === null ? "being computed" : "sampled over the mission, each against its limit"}</small>
+        <small>{series === null ? "being computed" : "over the mission, each against its limit"}</small>
       </div>
       <div class="charts">
         {series?.map((one) => <Chart key={one.kind} series={one} />)}
@@ -68,7 +68,7 @@ function Budget() {
   const robot = mission.robots[most.robot];
   return (
     <p class="budget" id="budget">
-      Steps: {visible(robot.id)} / {visible(robot.devices[most.device].id)} needs {most.steps} of {most.budget}, the largest share of all devices.
+      Steps: {visible(robot.id)} / {visible(robot.devices[most.device].id)} has {most.steps} steps and holds {most.budget} at a time, the largest share of all devices.
     </p>
   );
 }
@@ -81,8 +81,10 @@ function Chart({ series }: { series: Series }) {
   const { canvas } = useCanvas([session.view], (sheet) => drawChart(sheet, session.view.value, series));
   const found = worst(series);
   const limit = series.limit === null ? "no limit" : `${series.above ? "at least" : "at most"} ${significant(series.limit)} ${series.unit}`;
-  const bad = found !== null && isBeyond(series, found.value);
-  const names = found === null ? "" : series.robots[found.index].map((robot) => visible(show.mission.robots[robot].id)).join(" – ");
+  const value = series.exact?.value ?? found?.value ?? NaN;
+  const bad = isBeyond(series, value);
+  const robots = series.exact !== null ? [series.exact.robot] : found === null ? [] : series.robots[found.index];
+  const names = robots.map((robot) => visible(show.mission.robots[robot].id)).join(" – ");
   const seek = (event: PointerEvent) => {
     if (event.buttons === 1 && canvas.current !== null)
       seekAndShow(session, scaleOf(session.view.value, canvas.current.clientWidth).ms(event.offsetX));
@@ -94,7 +96,8 @@ function Chart({ series }: { series: Series }) {
         {found !== null && (
           <button type="button" class={`link ${bad ? "error-text" : ""}`} onClick={() => seekAndShow(session, series.at[found.index])}>
             {bad && "✕ "}
-            {significant(found.value)} {series.unit}, {names}, {clock(series.at[found.index])}
+            {significant(value)} {series.unit}, {names}
+            {series.exact === null && `, ${clock(series.at[found.index])}`}
           </button>
         )}{" "}
         <small>{limit}</small>
@@ -111,6 +114,7 @@ function drawChart({ context, palette, width, height }: Sheet, view: { from: num
   const scale = scaleOf(view, width);
   const { values, at, limit } = series;
   let [low, high] = [Math.min(0, limit ?? 0), limit ?? 0];
+  high = Math.max(high, series.exact?.value ?? 0);
   for (const value of values) if (!Number.isNaN(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
   // Distances far above the limit would flatten the part that matters.
   if (series.above && limit !== null && limit > 0) high = Math.min(high, 8 * limit);

@@ -3,17 +3,22 @@ import type { Finding } from "../mission";
 import { seekAndShow, selectCue } from "../state/moves";
 import { useSession } from "../state/session";
 import { Name } from "../text/Name";
+import { Limited } from "./Limited";
 
 export function Findings() {
   const session = useSession();
   const { findings } = session.show.mission;
   if (findings.length === 0) return <p>No findings.</p>;
   return (
-    <ul class="finding">
-      {findings.map((finding, i) => (
-        <Item key={i} finding={finding} cues={session.show.cuesOfFinding[i]} />
-      ))}
-    </ul>
+    <Limited items={findings} name="findings">
+      {(some) => (
+        <ul class="finding">
+          {some.map((finding, i) => (
+            <Item key={i} finding={finding} cues={session.show.cuesOfFinding[i]} />
+          ))}
+        </ul>
+      )}
+    </Limited>
   );
 }
 

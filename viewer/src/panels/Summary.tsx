@@ -120,7 +120,7 @@ function Failures({ report }: { report: Report }) {
   return (
     <>
       <h2>Failures</h2>
-      <ul>
+      <ul id="failures">
         {report.failures.map((failure, i) => (
           <li key={i} class="error-text">
             ✕ <At session={session} ms={when(failure.robot)} />

@@ -144,7 +144,7 @@ function space({ mission }: Show, camera: Camera): Lines[] {
   return lines;
 }
 
-/** Edges between two limited sides. Those of a side without a limit would be drawn where there is none. */
+/** Edges between two limited sides. Those of a side without a limit would be drawn in the wrong place. */
 function edges({ least, most }: Volume, { target, reach }: Camera): (Point | null)[] {
   const limit = (bounds: Bounds, sign: 1 | -1, i: number) => bounds[i] ?? target[i] + sign * 2.4 * reach;
   const corner = (bits: readonly number[]): Point => [0, 1, 2].map((i) => limit(bits[i] === 0 ? least : most, bits[i] === 0 ? -1 : 1, i)) as unknown as Point;

@@ -1,5 +1,6 @@
 // Choosing rows: the focused row, lanes whose curves are drawn, and folding.
 import type { Track } from "../data/track";
+import { foldOfGroup, groupsOfRows, type Row } from "./rows";
 import type { Session } from "./session";
 
 /** With more curves, each would be too low to read. */
@@ -33,14 +34,20 @@ export function choose(session: Session, track: Track): void {
     : [...chosen.slice(chosen.length >= MOST_CURVES ? 1 : 0), track];
 }
 
-export function fold(session: Session, robot: number): void {
+/** Folds or unfolds the row of a robot or a group. */
+export function fold(session: Session, row: Row & { kind: "robot" | "group" }): void {
   const folded = new Set(session.folded.value);
-  if (!folded.delete(robot)) folded.add(robot);
+  const key = row.kind === "robot" ? row.robot : foldOfGroup(row.group);
+  if (!folded.delete(key)) folded.add(key);
   session.folded.value = folded;
 }
 
-/** Folds all robots, or unfolds them if all are folded. */
+/** Folds everything; if everything is folded, unfolds the groups; if only the robots are folded, unfolds them. */
 export function foldAll(session: Session): void {
   const robots = session.show.mission.robots.map((_, index) => index);
-  session.folded.value = new Set(session.folded.value.size < robots.length ? robots : []);
+  const groups = [...new Set(groupsOfRows(session.show).values())].map(foldOfGroup);
+  const folded = session.folded.value;
+  const all = [...robots, ...groups].every((key) => folded.has(key));
+  const onlyRobots = robots.every((key) => folded.has(key)) && !groups.some((key) => folded.has(key));
+  session.folded.value = new Set(all && groups.length > 0 ? robots : all || onlyRobots ? [] : [...robots, ...groups]);
 }

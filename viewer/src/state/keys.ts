@@ -64,7 +64,7 @@ export const KEYS: Key[] = [
   },
   { keys: ["Enter"], does: "draw the curve of the focused lane, or fold the focused robot", run: enter },
   { keys: ["PageUp", "PageDown"], does: "scroll the rows (while the timeline has the focus)", run: null },
-  { keys: ["U"], does: "fold or unfold all robots", run: foldAll },
+  { keys: ["U"], does: "fold or unfold all groups and robots", run: foldAll },
   {
     keys: ["N", "P"],
     does: "select the next or the previous cue",
@@ -148,7 +148,7 @@ function edge(session: Session, key: string): void {
 function enter(session: Session): void {
   const row = session.rows.value[session.focusedRow.value];
   if (row?.kind === "lane") choose(session, row.track);
-  if (row?.kind === "robot") fold(session, row.robot);
+  if (row?.kind === "robot" || row?.kind === "group") fold(session, row);
 }
 
 function nextCue(session: Session, by: 1 | -1): void {

@@ -5,6 +5,7 @@ import type { Track } from "../data/track";
 
 export type Row = { top: number; height: number } & (
   | { kind: "cues"; cues: PlacedCue[] }
+  | { kind: "group"; group: number; folded: boolean; robots: readonly number[]; lines: PlacedCue[][] }
   | { kind: "robot"; robot: number; folded: boolean; tracks: readonly Track[]; lines: PlacedCue[][] }
   | { kind: "lane"; track: Track }
 );
@@ -34,6 +35,21 @@ function linesOf(cues: PlacedCue[]): PlacedCue[][] {
   return lines.length <= LINES ? lines : [...lines.slice(0, LINES - 1), lines.slice(LINES - 1).flat().sort((a, b) => a.start - b.start)];
 }
 
+/** With fewer robots, each has its own row at once. */
+const GROUPED = 12;
+
+/** How the set of folded rows names a group: robots are named by their numbers. */
+export const foldOfGroup = (group: number) => -1 - group;
+
+/** The group whose row contains each robot: the smallest of its groups. Empty if all robots have their own rows. */
+export function groupsOfRows({ mission }: Show): ReadonlyMap<number, number> {
+  const found = new Map<number, number>();
+  if (mission.robots.length <= GROUPED) return found;
+  const order = mission.groups.map((_, index) => index).sort((a, b) => mission.groups[a].robots.length - mission.groups[b].robots.length);
+  for (const group of order) for (const robot of mission.groups[group].robots) if (!found.has(robot)) found.set(robot, group);
+  return found;
+}
+
 export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>): Row[] {
   const rows: Row[] = [];
   let top = 0;
@@ -47,7 +63,27 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
   for (const cues of rowsOfCues(passing)) add({ kind: "cues", cues, top, height: HEIGHT.cues });
   const cuesOf = show.mission.robots.map((): PlacedCue[] => []);
   for (const placed of show.cues) for (const robot of placed.cue.robots) cuesOf[robot]?.push(placed);
-  for (const { robot, tracks } of shownRobots(show, filter)) {
+  const addGroup = (group: number, robots: number[]) => {
+    const cues = passing.filter(({ cue }) => cue.robots.some((robot) => robots.includes(robot)));
+    const lines = linesOf(cues);
+    add({ kind: "group", group, folded: folded.has(foldOfGroup(group)), robots, lines, top, height: HEIGHT.robot - LINE.only + linesHeight(lines.length) });
+  };
+  const groupOf = groupsOfRows(show);
+  const shown = shownRobots(show, filter);
+  // Robots of a group are below its row, in the order of the fleet.
+  const first = new Map<number, number>();
+  shown.forEach(({ robot }, i) => {
+    const group = groupOf.get(robot);
+    if (group !== undefined && !first.has(group)) first.set(group, i);
+  });
+  const place = (robot: number, i: number) => first.get(groupOf.get(robot) ?? -1) ?? i;
+  const ordered = shown.map((one, i) => ({ ...one, at: place(one.robot, i) })).sort((a, b) => a.at - b.at);
+  let current: number | undefined;
+  for (const { robot, tracks } of ordered) {
+    const group = groupOf.get(robot);
+    if (group !== undefined && group !== current) addGroup(group, ordered.filter((one) => groupOf.get(one.robot) === group).map((one) => one.robot));
+    current = group;
+    if (group !== undefined && folded.has(foldOfGroup(group))) continue;
     const closed = folded.has(robot);
     const lines = linesOf(cuesOf[robot].filter((placed) => passes.has(placed)));
     add({

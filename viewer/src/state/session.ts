@@ -7,7 +7,7 @@ import type { Track } from "../data/track";
 import { Cell } from "./cell";
 import { firstPreset } from "../stage/whole";
 import type { Preset } from "../stage/camera";
-import { filteredRobots, NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
+import { filteredRobots, foldOfGroup, groupsOfRows, NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
 
 export type Theme = "light" | "dark";
 /** What the page is for: watching the show, checking it before or after it is played, or every detail. */
@@ -59,7 +59,8 @@ export class Session {
     this.mode = new Cell<Mode>(hasStage(show) ? "show" : "check");
     this.preset = new Cell<Preset>(firstPreset(show));
     const folds = show.tracks.length > LANES_UNFOLDED;
-    this.folded = new Cell<ReadonlySet<number>>(new Set(folds ? show.mission.robots.map((_, index) => index) : []));
+    const groups = [...groupsOfRows(show).values()].map(foldOfGroup);
+    this.folded = new Cell<ReadonlySet<number>>(new Set([...(folds ? show.mission.robots.map((_, index) => index) : []), ...groups]));
     this.chosen = new Cell<readonly Track[]>(show.tracks.filter((track) => track.segments.length > 0).slice(0, CURVES_AT_FIRST));
     this.rows = new Cell<readonly Row[]>(rowsOf(show, this.filter.value, this.folded.value));
     this.theme = new Cell(preferredTheme());

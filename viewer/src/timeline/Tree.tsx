@@ -3,7 +3,7 @@ import { useEffect, useState, type MutableRef } from "preact/hooks";
 import { useCell } from "../state/cell";
 import { choose, focusRow, fold } from "../state/choose";
 import { useSession, type Session } from "../state/session";
-import type { Row } from "../state/rows";
+import { groupsOfRows, type Row } from "../state/rows";
 import { Name } from "../text/Name";
 import { HEAD_HEIGHT } from "./head";
 
@@ -48,7 +48,7 @@ export function Tree({ scroller, scrolled }: TreeProps) {
               row.kind !== "cues" &&
               inSight(row, index) && (
                 <RowName
-                  key={row.kind === "robot" ? `r${row.robot}` : `t${row.track.index}`}
+                  key={row.kind === "robot" ? `r${row.robot}` : row.kind === "group" ? `g${row.group}` : `t${row.track.index}`}
                   row={row}
                   index={index}
                   session={session}
@@ -79,13 +79,13 @@ function RowName({ row, index, session }: RowNameProps) {
       class={`row-name row-${row.kind}${index === session.focusedRow.value ? " row-focused" : ""}`}
       style={{ top: `${row.top}px`, height: `${row.height}px` }}
       tabIndex={tabIndex}
-      aria-level={lane ? 2 : 1}
+      aria-level={levelOf(session, row)}
       aria-expanded={lane ? undefined : !row.folded}
       aria-selected={lane ? chosen : undefined}
       onClick={() => {
         focusRow(session, index);
         if (lane) choose(session, row.track);
-        else fold(session, row.robot);
+        else fold(session, row);
       }}
       onFocus={() => focusRow(session, index)}
     >
@@ -104,12 +104,19 @@ function RowName({ row, index, session }: RowNameProps) {
           <span class="box" aria-hidden="true">
             {row.folded ? "▸" : "▾"}
           </span>
-          <Name text={session.show.mission.robots[row.robot].id} />
-          <small>{row.tracks.length}</small>
+          <Name text={row.kind === "group" ? session.show.mission.groups[row.group].name : session.show.mission.robots[row.robot].id} />
+          <small>{row.kind === "group" ? `${row.robots.length} robots` : row.tracks.length}</small>
         </>
       )}
     </div>
   );
+}
+
+/** Groups, their robots and their lanes; without groups, robots and their lanes. */
+function levelOf({ show }: Session, row: RowNameProps["row"]): number {
+  if (row.kind === "group") return 1;
+  const robot = row.kind === "robot" ? row.robot : row.track.robotIndex;
+  return (groupsOfRows(show).has(robot) ? 2 : 1) + (row.kind === "lane" ? 1 : 0);
 }
 
 const firstItem = (session: Session) => session.rows.value.findIndex((row) => row.kind !== "cues");
@@ -131,9 +138,9 @@ function treeKey(session: Session, event: KeyboardEvent): void {
   if (row === undefined || row.kind === "cues" || event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.key === "Enter") {
     if (row.kind === "lane") choose(session, row.track);
-    else fold(session, row.robot);
-  } else if (row.kind === "robot" && event.key === (row.folded ? "ArrowRight" : "ArrowLeft") && !event.shiftKey) {
-    fold(session, row.robot);
+    else fold(session, row);
+  } else if (row.kind !== "lane" && event.key === (row.folded ? "ArrowRight" : "ArrowLeft") && !event.shiftKey) {
+    fold(session, row);
   } else {
     return;
   }

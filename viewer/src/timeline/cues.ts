@@ -26,16 +26,29 @@ export interface CueFindings {
 
 /** A narrower bar is a pin, so that it can be seen. */
 export const PIN = 5;
+/** Pixels that a pin needs. */
+const ROOM_OF_PIN = 12;
 
 /** Draws cues that do not overlap, in order of time. */
 export function drawCues(sheet: Sheet, scale: Scale, cues: readonly PlacedCue[], top: number, height: number, style: CueStyle): void {
   const { width } = sheet;
   const shown = cues.filter(({ start, end, cue }) => scale.x(end + cue.slack) >= -200 && scale.x(start) <= width + 4);
   for (const placed of shown) drawSlack(sheet, scale.x(placed.end), Math.min(scale.x(placed.end + placed.cue.slack), width + 4), top, height);
+  let before = -Infinity;
   shown.forEach((placed, i) => {
-    const next = shown[i + 1];
-    drawCue(sheet, scale, placed, next === undefined ? width : scale.x(next.start), top, height, style);
+    const begin = scale.x(placed.start);
+    const next = i + 1 < shown.length ? scale.x(shown[i + 1].start) : width;
+    const dense = scale.x(placed.end) - begin < PIN && Math.min(begin - before, next - begin) < ROOM_OF_PIN;
+    before = begin;
+    if (dense && placed.index !== style.selected) drawTick(sheet, placed, begin, top, height);
+    else drawCue(sheet, scale, placed, next, top, height, style);
   });
+}
+
+/** Cues without room for a pin show how densely they follow each other. */
+function drawTick({ context, palette }: Sheet, { cue }: PlacedCue, x: number, top: number, height: number): void {
+  context.fillStyle = `hsl(${hueOfCue(cue.name)} ${palette.cueTone})`;
+  context.fillRect(x, top + 3, 2, height - 6);
 }
 
 function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, next: number, top: number, height: number, style: CueStyle): void {

@@ -36,7 +36,13 @@ function drawRow(sheet: Sheet, scale: Scale, session: Session, row: Row, top: nu
     context.fillRect(0, top, width, row.height);
   }
   if (row.kind === "cues") drawCues(sheet, scale, row.cues, top, row.height, style);
-  if (row.kind === "lane") drawLane(sheet, scale, row.track, top, row.height, session.chosen.value.includes(row.track));
+  if (row.kind === "lane") drawLane(sheet, scale, session.show, row.track, top, row.height, session.chosen.value.includes(row.track));
+  if (row.kind === "group") {
+    const each = lineHeight(row.lines.length);
+    row.lines.forEach((cues, line) => drawCues(sheet, scale, cues, top + 2 + line * each, each, style));
+    const states = robotStates(session.show);
+    for (const robot of row.robots) drawState(sheet, scale, states[robot], top, 1 + each * Math.max(1, row.lines.length));
+  }
   if (row.kind === "robot") {
     const leftOut = (placed: PlacedCue) => session.show.isLeftOut(row.robot, placed.act);
     const each = lineHeight(row.lines.length);

@@ -32,8 +32,8 @@ export function hit(session: Session, width: number, x: number, y: number, scrol
 }
 
 function cueIn(row: Exclude<Row, { kind: "lane" }>, scale: Scale, x: number, y: number): PlacedCue | null {
-  const each = row.kind === "robot" ? lineHeight(row.lines.length) : row.height;
-  const cues = row.kind === "robot" ? (row.lines[Math.floor((y - 2) / each)] ?? []) : row.cues;
+  const each = row.kind === "cues" ? row.height : lineHeight(row.lines.length);
+  const cues = row.kind === "cues" ? row.cues : (row.lines[Math.floor((y - 2) / each)] ?? []);
   const under = cues.filter(
     (placed) =>
       scale.x(placed.start) - PIN <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1,

@@ -1,6 +1,8 @@
 // Planned movement of devices, one lane each; the devices of a folded robot share one lane. Parts that were not played are dashed.
 import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
+import type { Show } from "../data/show";
 import type { Track } from "../data/track";
+import { inView } from "../curves/ghosts";
 import type { Sheet } from "../canvas/useCanvas";
 import type { Scale } from "./scale";
 
@@ -12,8 +14,9 @@ const columnWidth = () => 1 / Math.min(2, Math.max(1, Math.round(window.devicePi
 
 let envelope: Envelope = makeEnvelope(0);
 
-export function drawLane(sheet: Sheet, scale: Scale, track: Track, top: number, height: number, chosen: boolean): void {
+export function drawLane(sheet: Sheet, scale: Scale, show: Show, track: Track, top: number, height: number, chosen: boolean): void {
   const { context, palette } = sheet;
+  drawGhosts(sheet, scale, show, track, top + 4, height - 8);
   context.fillStyle = palette.planned;
   context.globalAlpha = chosen ? 1 : 0.75;
   drawColumns(context, scale, track, top + 4, height - 8, columnWidth());
@@ -26,6 +29,29 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   context.globalAlpha = 0.4;
   for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, 1);
   context.globalAlpha = 1;
+}
+
+/** The lane in the plan or mission to which this one is compared, behind the lane. */
+function drawGhosts({ context, palette }: Sheet, scale: Scale, show: Show, track: Track, top: number, height: number): void {
+  const ghosts = show.ghostsOf(track);
+  if (ghosts.length === 0) return;
+  const extent = { ...track.extent };
+  for (const { wave } of ghosts) wave.widen(extent, 0, wave.count);
+  const y = (value: number) => top + height - ((value - extent.low) / (extent.high - extent.low || 1)) * height;
+  context.strokeStyle = palette.dim;
+  context.setLineDash([6, 3]);
+  for (const { start, wave } of ghosts) {
+    const { first, end } = inView(wave, start, scale);
+    const stride = Math.max(1, Math.floor((end - first) / (2 * scale.width)));
+    context.beginPath();
+    for (let i = first; i < end; i += stride) {
+      const x = scale.x(start + wave.time(i));
+      if (i > first && track.device.interpolation === "hold") context.lineTo(x, y(wave.value(i - stride)));
+      context.lineTo(x, y(wave.value(i)));
+    }
+    context.stroke();
+  }
+  context.setLineDash([]);
 }
 
 /** Pixels of a dash, and of the gap after it. */
