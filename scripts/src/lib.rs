@@ -54,14 +54,14 @@ pub use downbeat_fleet::address::{
 pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
-    SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
-    read_fleet_to_measure, read_fleet_within, read_latency_file, settable_limits,
+    SimulationSettings, Taken, fleet_keys, latency_file_of, latency_keys, latency_text, read_fleet,
+    read_fleet_named, read_fleet_to_measure, read_fleet_within, read_latency_file, settable_limits,
 };
 pub use downbeat_fleet::init::{init_of, init_text, read_init};
 pub use downbeat_fleet::sensor_range::SensorRange;
 pub use downbeat_fleet::world::{
     Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
-    SensorWorld, Trouble, World, read_world,
+    SensorWorld, Trouble, World, read_world, world_keys, world_of,
 };
 pub use downbeat_plan::{
     Act, AllOrNone, Ceiling, Choreography, CueText, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor,
@@ -89,7 +89,7 @@ pub use downbeat_yaml::source::Source;
 pub use home::{plan_home, plan_jog};
 pub use inventory::{Offer, Parameter, inventory};
 pub use pose_file::{PoseDevice, PoseFileError, with_pose};
-pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
+pub use scenario::{fleet_named_by, included_keys, parse_time, place_at_fleet, scenario_keys};
 pub use schema::{Schema, all_maps, schema};
 
 /// Functions for the wording of messages, shared with the program.

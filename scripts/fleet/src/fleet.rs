@@ -10,7 +10,7 @@ use crate::address::{ADDRESS, Address, address_fault};
 use crate::init::{Init, read_supplements};
 use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys::{Declaration, Keys, Kind};
+use downbeat_reader::keys::{Declaration, Item, Keys, Kind, Naming};
 use downbeat_reader::slips::{self, Units};
 use downbeat_reader::{keys, schema, words};
 use downbeat_space::space::{Body, Space};
@@ -80,13 +80,13 @@ keys! {
         /// Permits plain TCP to other machines: for a dedicated network.
         insecure: kinds::BOOLEAN,
         /// The file of measured latencies, which `downbeat calibrate` writes.
-        latency: kinds::TEXT,
+        latency: kinds::FILE,
         space: SpaceKeys::KIND,
         /// Robots by id.
         #[required]
-        robots: Kind::SomeEntries(&RobotKeys::KIND),
+        robots: Kind::NameKeys(Naming::Defines(Item::Robot), &Kind::SomeEntries(&RobotKeys::KIND)),
         /// Names for groups of robots.
-        groups: Kind::Entries(&Kind::List(&kinds::NAME, 0..=usize::MAX)),
+        groups: Kind::NameKeys(Naming::Defines(Item::Robot), &Kind::Entries(&Kind::Name(Naming::Uses(Item::Robot), &Kind::List(&kinds::NAME, 0..=usize::MAX)))),
     }
 }
 
@@ -95,9 +95,9 @@ keys! {
     pub(crate) struct RobotKeys as "robot" {
         /// Its initialization block, a YAML or JSON file, relative to the folder of this file.
         #[required]
-        init: kinds::TEXT,
+        init: kinds::FILE,
         /// Values that the description of a Thrift robot lacks, by device id.
-        devices: Kind::Entries(&DeviceKeys::KIND),
+        devices: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&DeviceKeys::KIND)),
         /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, sacn:UNIVERSE/CHANNEL, artnet:UNIVERSE/CHANNEL@host, osc:host:port/path, mavlink:udp:host:port, thrift://host:port or program:COMMAND.
         #[required]
         address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac)://.+:\\d+|thrift://.+:\\d+(\\?id=.+)?|zenoh:.+|(sacn|artnet):\\d+/\\d+.*|osc:.+:\\d+.*|mavlink:udp:.+:\\d+.*|program:.*\\S.*)$"}),
@@ -105,20 +105,20 @@ keys! {
         robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
         simulate: SimulateKeys::KIND,
         /// The largest speed and acceleration of devices, by device id.
-        limits: Kind::Entries(&LimitKeys::KIND),
+        limits: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&LimitKeys::KIND)),
         /// `ntp`: the robot follows NTP, which is only verified. `measured`: messages to it are converted to its own time.
         clock: words!(mission_settings::CLOCK_WORDS),
         /// The largest delay with which it wakes up for a start.
         wake_up: kinds::TIME,
         /// The time from a command to visible motion: one time for all devices that take commands, or one per device.
-        latency: Kind::AnyOf(&[&kinds::TIME, &Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &LatencyKeys::KIND]))]),
+        latency: Kind::AnyOf(&[&kinds::TIME, &Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &LatencyKeys::KIND])))]),
         /// The required readings of its sensors before a mission, by sensor.
-        require: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": "string", "pattern": "^\\s*(above|below)\\s+\\S+\\s*$"}), &RangeKeys::KIND])),
+        require: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&Kind::AnyOf(&[&schema!({"type": "string", "pattern": "^\\s*(above|below)\\s+\\S+\\s*$"}), &RangeKeys::KIND]))),
         /// The encoding of messages to it over TCP. It must list `msgpack`, which is much smaller than JSON, in its initialization block.
         encoding: Kind::Words(&["json", "msgpack"]),
         body: BodyKeys::KIND,
         /// How `downbeat calibrate` may move its devices, by device id.
-        calibrate: Kind::Entries(&CalibrateKeys::KIND),
+        calibrate: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&CalibrateKeys::KIND)),
     }
 }
 
@@ -148,9 +148,9 @@ keys! {
         /// A fault of the robot.
         fault: words!(FAULT_WORDS),
         /// The readings of its sensors, by device id, in their units. Other sensors have no readings.
-        readings: Kind::Entries(&kinds::PLAIN_NUMBER),
+        readings: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&kinds::PLAIN_NUMBER)),
         /// How its body follows its devices, by device id. Without it, the body follows immediately.
-        moves: Kind::Entries(&MovesKeys::KIND),
+        moves: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&MovesKeys::KIND)),
     }
 }
 

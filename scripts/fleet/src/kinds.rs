@@ -1,9 +1,11 @@
 //! Kinds of values that several keys of fleet files and world files have in common. They are literal values, without variables.
 
-use downbeat_reader::keys::Kind;
-pub(crate) use downbeat_reader::kinds::{BOOLEAN, NAME, PLAIN_NUMBER, POSITIVE, TEXT};
+use downbeat_reader::keys::{Item, Kind, Naming};
+pub(crate) use downbeat_reader::kinds::{BOOLEAN, FILE, NAME, PLAIN_NUMBER, POSITIVE, TEXT};
 use downbeat_reader::{named, schema};
 
+/// The name of a device.
+pub(crate) static DEVICE: Kind = Kind::Name(Naming::Uses(Item::Device), &NAME);
 /// A whole number of at least 1.
 pub(crate) static COUNT: Kind = schema!({"type": "integer", "minimum": 1});
 

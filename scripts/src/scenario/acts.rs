@@ -16,21 +16,21 @@ use crate::node::Node;
 use crate::plan::{OnDoubt, OnFailure, Wait};
 use crate::sensor_range::sensor_range;
 use crate::shown::shortened;
-use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::keys::{Item, Keys, Kind, Naming};
 use downbeat_reader::{keys, schema, words};
 
 keys! {
     /// Cues that are prepared, decided and started together.
     pub(super) struct ActKeys as "act" {
         /// Its name.
-        act: kinds::NAME,
+        act: Kind::Name(Naming::Defines(Item::Act), &kinds::NAME),
         #[required]
         cues: kinds::CUES,
         #[default("`done`")]
         wait: kinds::WAIT,
         /// The following act, or `end`.
         #[default("the next act in the file")]
-        next: kinds::NAME,
+        next: kinds::ACT,
         on_failure: kinds::ON_FAILURE,
         on_doubt: kinds::ON_DOUBT,
         zones: kinds::ZONES,
@@ -48,7 +48,7 @@ keys! {
         /// A time of day such as `19:30:00`, local time, or a date and time as in RFC 3339.
         time: kinds::TEXT,
         /// A robot and its sensor: `rover/range`.
-        sensor: schema!({"type": "string", "pattern": "^[^/]+/.+$"}),
+        sensor: Kind::Name(Naming::Uses(Item::RobotDevice), &schema!({"type": "string", "pattern": "^[^/]+/.+$"})),
         /// Readings above this.
         above: kinds::NUMBER,
         /// Readings below this.
@@ -58,7 +58,7 @@ keys! {
         /// Longest wait.
         timeout: kinds::TIME,
         /// The act that follows after the timeout, or `end`.
-        otherwise: kinds::NAME,
+        otherwise: kinds::ACT,
     }
 }
 
@@ -68,7 +68,7 @@ keys! {
         /// For robots without an entry.
         default: kinds::FAILURE_WORD,
         /// The act that follows a failure, or `end`.
-        then: kinds::NAME,
+        then: kinds::ACT,
     }
 }
 

@@ -16,7 +16,7 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::Node;
 use crate::plan::CueText;
-use downbeat_reader::keys::Kind;
+use downbeat_reader::keys::{Item, Kind, Naming};
 use downbeat_reader::{keys, schema};
 
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
@@ -26,7 +26,7 @@ keys! {
     /// Robots move devices from some time on. Without robots and tracks, it is a mark that others can refer to.
     pub(crate) struct CueKeys as "cue" {
         /// Its name, for other cues and messages.
-        cue: kinds::NAME,
+        cue: Kind::Name(Naming::Defines(Item::Cue), &kinds::NAME),
         /// When it starts: a time or position, exactly; or a range.
         at: kinds::INSTANTS,
         /// Starts when these have ended, or later.
@@ -48,13 +48,13 @@ keys! {
         /// It includes all [repetitions](#the-order-of-changes).
         duration: kinds::TIMES,
         /// A robot, a group, a role, or a list of them.
-        robots: kinds::NAMES,
+        robots: kinds::ROBOTS,
         /// The name of a move.
-        r#move: kinds::NAME,
+        r#move: kinds::MOVE,
         /// The name of a sequence, whose cues it plays.
         ///
         /// It takes `parameters` and `robots`.
-        sequence: kinds::NAME,
+        sequence: Kind::Name(Naming::Uses(Item::Sequence), &kinds::NAME),
         parameters: kinds::PARAMETERS,
         tracks: kinds::TRACKS,
         devices: kinds::DEVICES,
@@ -67,19 +67,19 @@ keys! {
         /// See [patterns over a group](#patterns-over-a-group).
         canon: kinds::CANON,
         /// Other values for some robots.
-        overrides: Kind::Entries(&OverrideKeys::KIND),
+        overrides: Kind::NameKeys(Naming::Uses(Item::Robot), &Kind::Entries(&OverrideKeys::KIND)),
         /// Zones that it needs.
-        uses: kinds::NAMES,
+        uses: Kind::Name(Naming::Uses(Item::Zone), &kinds::NAMES),
         /// Cues that it must not overlap.
-        apart: kinds::NAMES,
+        apart: Kind::Name(Naming::Uses(Item::Cue), &kinds::NAMES),
         stop_condition: kinds::LEASE,
         off_grid: kinds::OFF_GRID,
         /// Largest permitted error of its tracks, in the devices' unit.
         tolerance: kinds::NUMBER,
         /// Sensors to be read, with the times from the cue's start.
-        read: Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &Kind::List(&kinds::TIME, 0..=usize::MAX)])),
+        read: Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &Kind::List(&kinds::TIME, 0..=usize::MAX)]))),
         /// The robots move into this formation without coming too close to each other.
-        form: Kind::AnyOf(&[&kinds::NAME, &FormKeys::KIND]),
+        form: Kind::AnyOf(&[&Kind::Name(Naming::Uses(Item::Formation), &kinds::NAME), &FormKeys::KIND]),
         /// The robots turn as one body about the vertical, in degrees from x to y.
         turn: Kind::AnyOf(&[&kinds::NUMBER, &TurnKeys::KIND]),
         /// The robots move away from their middle by this factor, or towards it if it is less than 1.
@@ -87,7 +87,7 @@ keys! {
         /// The robots move as one body, in metres along x, y and z.
         shift: Kind::List(&kinds::NUMBER, 3..=3),
         /// The robots are carried along this path as one body, from where they are.
-        along: Kind::AnyOf(&[&kinds::NAME, &AlongKeys::KIND]),
+        along: Kind::AnyOf(&[&Kind::Name(Naming::Uses(Item::Path), &kinds::NAME), &AlongKeys::KIND]),
         /// Time for each robot for `form`, `turn`, `grow`, `shift` and `along`.
         over: kinds::TIME,
         /// A remark, which `plan` prints next to the cue.
@@ -98,7 +98,7 @@ keys! {
 keys! {
     /// Differences for one robot.
     pub(super) struct OverrideKeys as "override" {
-        r#move: kinds::NAME,
+        r#move: kinds::MOVE,
         parameters: kinds::PARAMETERS,
         tracks: kinds::TRACKS,
         devices: kinds::DEVICES,

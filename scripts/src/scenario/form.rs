@@ -10,7 +10,7 @@ use crate::finding::Code;
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::transit::Least;
-use downbeat_reader::keys::Kind;
+use downbeat_reader::keys::{Item, Kind, Naming};
 use downbeat_reader::{keys, words};
 
 /// Maximum turn in degrees: a larger one would take more steps than any device holds.
@@ -33,7 +33,7 @@ keys! {
     pub(super) struct FormKeys {
         /// A formation, or `home`: the default values of each robot's devices.
         #[required]
-        to: kinds::NAME,
+        to: Kind::Name(Naming::Uses(Item::Formation), &kinds::NAME),
         /// The quantity to minimize: the sum of the distances, or the longest of them.
         #[default("`total`")]
         least: words!(LEAST),
@@ -61,7 +61,7 @@ keys! {
     pub(super) struct AlongKeys {
         /// The path.
         #[required]
-        path: kinds::NAME,
+        path: Kind::Name(Naming::Uses(Item::Path), &kinds::NAME),
         /// Number of laps, for a closed path: a whole number.
         #[default("1")]
         laps: kinds::NUMBER,

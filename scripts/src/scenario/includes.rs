@@ -19,7 +19,7 @@ keys! {
     pub(super) struct IncludeKeys as "included" {
         /// Its path, from the scenario's folder.
         #[required]
-        file: kinds::TEXT,
+        file: kinds::FILE,
         /// Prefix of its names: with `left`, its move `bow` becomes `left.bow`.
         r#as: kinds::NAME,
         parameters: kinds::PARAMETERS,

@@ -13,10 +13,10 @@ use super::paths::PathKeys;
 use super::play::PlayKeys;
 use super::sequence::SequenceKeys;
 use super::track::{KeyframeKeys, TrackKeys};
-use crate::keys::Kind;
+use crate::keys::{Item, Kind, Naming};
 pub(super) use downbeat_reader::kinds::{
-    BOOLEAN, BY, DIRECTION, EXPRESSION, NAME, NAMES, NUMBER, PLACE, PLAIN_NUMBER, SPREAD, TEXT, TIME, TRUTH,
-    VARIABLE,
+    BOOLEAN, BY, DIRECTION, EXPRESSION, FILE, NAME, NAMES, NUMBER, PLACE, PLAIN_NUMBER, SPREAD, TEXT, TIME,
+    TRUTH, VARIABLE,
 };
 use downbeat_reader::{named, schema, words};
 
@@ -34,7 +34,8 @@ named! {
     pub(super) static TIMES = Kind::AnyOf(&[&TIME, &RANGE]);
 
     /// A cue of the same act, or a list of them: `raise`, `start of raise + 500ms`, `raise + 0s..1s`.
-    pub(super) static RELATION = Kind::AnyOf(&[&TEXT, &PLAIN_NUMBER, &Kind::List(&NAME, 0..=usize::MAX)]);
+    pub(super) static RELATION =
+        Kind::Name(Naming::Uses(Item::Cue), &Kind::AnyOf(&[&TEXT, &PLAIN_NUMBER, &Kind::List(&NAME, 0..=usize::MAX)]));
 
     /// Longest silence of the server before the robot stops by itself.
     pub(super) static LEASE = Kind::AnyOf(&[&TIME, &LeaseKeys::KIND]);
@@ -50,7 +51,7 @@ named! {
 
     /// Reaction to a robot's failure: `stop` all where they are, send all `home`, or continue `without` it.
     pub(super) static ON_FAILURE =
-        Kind::AnyOf(&[&FAILURE_WORD, &Kind::KeysAnd(OnFailureKeys::declaration, &FAILURE_WORD)]);
+        Kind::AnyOf(&[&FAILURE_WORD, &Kind::NameKeys(Naming::Uses(Item::Robot), &Kind::KeysAnd(OnFailureKeys::declaration, &FAILURE_WORD))]);
 
     /// Reaction of the others if a robot is silent shortly before the start and may or may not start: they `start` (default), or
     /// `withdraw` and do not move.
@@ -91,14 +92,17 @@ named! {
     pub(super) static SIGNATURE = schema!({"type": "string", "pattern": "^\\s*\\d+\\s*/\\s*\\d+\\s*$"});
 
     /// Things that only one cue can use at a time: a list of names, or a map from name to order.
-    pub(super) static ZONES = Kind::AnyOf(&[&Kind::List(&NAME, 0..=usize::MAX), &Kind::Entries(&ORDER)]);
+    pub(super) static ZONES = Kind::AnyOf(&[
+        &Kind::Name(Naming::Defines(Item::Zone), &Kind::List(&NAME, 0..=usize::MAX)),
+        &Kind::NameKeys(Naming::Defines(Item::Zone), &Kind::Entries(&ORDER)),
+    ]);
 
     /// The movement of a device.
     pub(super) static TRACK =
         Kind::AnyOf(&[&Kind::List(&KeyframeKeys::KIND, 0..=usize::MAX), &TrackKeys::KIND]);
 
     /// A map from device to its movement.
-    pub(super) static TRACKS = Kind::SomeEntries(&TRACK);
+    pub(super) static TRACKS = Kind::NameKeys(Naming::Uses(Item::Device), &Kind::SomeEntries(&TRACK));
 
     /// Other moves, one after another; those of a list within the list begin together.
     pub(super) static PLAY = Kind::List(
@@ -108,10 +112,10 @@ named! {
 
     /// Values for the parameters of the move.
     pub(super) static PARAMETERS =
-        Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean"]}), &SPREAD]));
+        Kind::NameKeys(Naming::Uses(Item::Parameter), &Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean"]}), &SPREAD])));
 
     /// The move's device names on this robot: `{shoulder_lift: wrist_1}`.
-    pub(super) static DEVICES = Kind::Entries(&NAME);
+    pub(super) static DEVICES = Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&Kind::Name(Naming::Uses(Item::Device), &NAME)));
 
     /// Values mirrored about 0 or another value.
     pub(super) static MIRROR = Kind::AnyOf(&[&BOOLEAN, &EXPRESSION, &MirrorKeys::KIND]);
@@ -133,29 +137,29 @@ named! {
 
     /// Files with variables, moves, sequences and roles, from the scenario's folder; `{file, as, parameters}` includes a file under its
     /// own name.
-    pub(super) static INCLUDE = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND, &Kind::List(&ONE_INCLUDE, 0..=usize::MAX)]);
+    pub(super) static INCLUDE = Kind::AnyOf(&[&FILE, &IncludeKeys::KIND, &Kind::List(&ONE_INCLUDE, 0..=usize::MAX)]);
 
     /// Names with values; `$name` stands for the value.
-    pub(super) static VARIABLES = Kind::Entries(&schema!({"type": ["number", "string", "boolean"]}));
+    pub(super) static VARIABLES = Kind::NameKeys(Naming::Defines(Item::Variable), &Kind::Entries(&schema!({"type": ["number", "string", "boolean"]})));
 
     /// Moves by name.
     ///
     /// A move has `doc`, `parameters`, and `tracks` or `play`.
-    pub(super) static MOVES = Kind::Entries(&MoveKeys::KIND);
+    pub(super) static MOVES = Kind::NameKeys(Naming::Defines(Item::Move), &Kind::Entries(&MoveKeys::KIND));
 
     /// Sequences of cues by name.
     ///
     /// A sequence has `doc`, `parameters` and `cues`.
-    pub(super) static SEQUENCES = Kind::Entries(&SequenceKeys::KIND);
+    pub(super) static SEQUENCES = Kind::NameKeys(Naming::Defines(Item::Sequence), &Kind::Entries(&SequenceKeys::KIND));
 
     /// Names for robots and groups.
-    pub(super) static ROLES = Kind::Entries(&NAMES);
+    pub(super) static ROLES = Kind::NameKeys(Naming::Defines(Item::Robot), &Kind::Entries(&ROBOTS));
 
     /// Formations by name: places for any number of robots.
-    pub(super) static FORMATIONS = Kind::Entries(&FormationKeys::KIND);
+    pub(super) static FORMATIONS = Kind::NameKeys(Naming::Defines(Item::Formation), &Kind::Entries(&FormationKeys::KIND));
 
     /// Paths by name: routes through space along which groups of robots move.
-    pub(super) static PATHS = Kind::Entries(&PathKeys::KIND);
+    pub(super) static PATHS = Kind::NameKeys(Naming::Defines(Item::Path), &Kind::Entries(&PathKeys::KIND));
 
     /// Degrees about the vertical, or roll, pitch and yaw; of a formation about its middle.
     pub(super) static ROTATION = Kind::AnyOf(&[&NUMBER, &Kind::List(&NUMBER, 3..=3)]);
@@ -164,8 +168,21 @@ named! {
     pub(super) static CANON = Kind::AnyOf(&[&TIME, &CanonKeys::KIND]);
 }
 
+/// Values by parameter of the defining item, or nothing for a parameter without a default.
+pub(super) static DEFAULTS: Kind = Kind::NameKeys(
+    Naming::Defines(Item::Parameter),
+    &Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
+);
+/// The name of a move.
+pub(super) static MOVE: Kind = Kind::Name(Naming::Uses(Item::Move), &NAME);
+/// The name of an act.
+pub(super) static ACT: Kind = Kind::Name(Naming::Uses(Item::Act), &NAME);
+/// Names of robots, groups and roles.
+pub(super) static ROBOTS: Kind = Kind::Name(Naming::Uses(Item::Robot), &NAMES);
+/// Names of devices.
+pub(super) static DEVICE_NAMES: Kind = Kind::Name(Naming::Uses(Item::Device), &NAMES);
 /// An entry under `include`: a file, plain or under its own name.
-static ONE_INCLUDE: Kind = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND]);
+static ONE_INCLUDE: Kind = Kind::AnyOf(&[&FILE, &IncludeKeys::KIND]);
 /// Number of times that a movement is played, as an integer.
 pub(super) static TURNS: Kind = schema!({"type": "integer", "minimum": 1, "maximum": 10000000});
 /// A range: two bounds separated by two dots.

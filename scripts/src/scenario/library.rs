@@ -27,7 +27,7 @@ use crate::shown::shortened;
 use crate::source::Source;
 use crate::syntax::conceal;
 use crate::tags::foreign_tags;
-use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::keys::Keys;
 use downbeat_reader::{keys, schema};
 
 /// Maximum number of files that a scenario may include, directly or indirectly.
@@ -39,7 +39,7 @@ keys! {
         /// Purpose of the file, in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
-        parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
+        parameters: kinds::DEFAULTS,
         include: kinds::INCLUDE,
         variables: kinds::VARIABLES,
         moves: kinds::MOVES,

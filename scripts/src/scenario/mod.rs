@@ -360,7 +360,7 @@ keys! {
         scenario: kinds::NAME,
         /// The fleet file, from the scenario's folder.
         #[default("`./fleet.yaml`, or `--fleet`")]
-        fleet: kinds::TEXT,
+        fleet: kinds::FILE,
         include: kinds::INCLUDE,
         /// Names with values; `$name` stands for the value.
         ///
@@ -444,12 +444,14 @@ keys! {
 }
 
 /// Returns the declaration of the keys of a scenario.
-pub(crate) fn scenario_keys() -> &'static Declaration {
+#[must_use]
+pub fn scenario_keys() -> &'static Declaration {
     ScenarioKeys::declaration()
 }
 
 /// Returns the declaration of the keys of a file that scenarios include.
-pub(crate) fn included_keys() -> &'static Declaration {
+#[must_use]
+pub fn included_keys() -> &'static Declaration {
     library::IncludedKeys::declaration()
 }
 

@@ -18,7 +18,7 @@ use crate::finding::{Code, one_of};
 use crate::node::Node;
 use crate::plan::Repetition;
 use crate::shown::shortened;
-use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::keys::{Item, Keys, Kind, Naming};
 use downbeat_reader::{keys, schema};
 
 /// Maximum number of times that a movement is played.
@@ -30,7 +30,7 @@ keys! {
         /// Description in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
-        parameters: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean", "null"]}), &kinds::SPREAD])),
+        parameters: Kind::NameKeys(Naming::Defines(Item::Parameter), &Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean", "null"]}), &kinds::SPREAD]))),
         tracks: kinds::TRACKS,
         play: kinds::PLAY,
     }
@@ -46,7 +46,7 @@ keys! {
         /// Default 0.
         about: kinds::NUMBER,
         /// Default: all.
-        devices: kinds::NAMES,
+        devices: kinds::DEVICE_NAMES,
     }
 }
 
@@ -56,7 +56,7 @@ keys! {
         /// Default 0.
         about: kinds::NUMBER,
         /// Default: all.
-        devices: kinds::NAMES,
+        devices: kinds::DEVICE_NAMES,
     }
 }
 

@@ -21,7 +21,7 @@ keys! {
     /// A move that a move plays.
     pub(super) struct PlayKeys as "played" {
         /// The name of a move.
-        r#move: kinds::NAME,
+        r#move: kinds::MOVE,
         parameters: kinds::PARAMETERS,
         tracks: kinds::TRACKS,
         devices: kinds::DEVICES,

@@ -17,8 +17,8 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::Node;
 use crate::shown::shortened;
-use downbeat_reader::keys::{Keys, Kind};
-use downbeat_reader::{keys, schema};
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
 /// Keys that are permitted in a cue that plays a sequence.
 const CALL_KEYS: [&str; 10] =
@@ -30,7 +30,7 @@ keys! {
         /// Description in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
-        parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
+        parameters: kinds::DEFAULTS,
         #[required]
         cues: kinds::CUES,
     }

@@ -139,6 +139,7 @@ impl Definitions {
                 ])
             }
             Kind::Words(words) => object(vec![("enum", Json::texts(words.iter().copied()))]),
+            Kind::Name(_, kind) | Kind::NameKeys(_, kind) => self.of_kind(kind),
             Kind::AnyOf(kinds) => {
                 object(vec![("anyOf", Json::Array(kinds.iter().map(|kind| self.of_kind(kind)).collect()))])
             }
@@ -202,7 +203,12 @@ fn schema_text(root: &'static Declaration, id: &str, title: &str) -> String {
 fn words_of(kind: &'static Kind, words: &mut BTreeSet<&'static str>) {
     match kind {
         Kind::Words(all) => words.extend(*all),
-        Kind::Entries(kind) | Kind::SomeEntries(kind) | Kind::List(kind, _) | Kind::KeysAnd(_, kind) => {
+        Kind::Entries(kind)
+        | Kind::SomeEntries(kind)
+        | Kind::List(kind, _)
+        | Kind::KeysAnd(_, kind)
+        | Kind::Name(_, kind)
+        | Kind::NameKeys(_, kind) => {
             words_of(kind, words);
         }
         Kind::Tuple(kinds) | Kind::AnyOf(kinds) => kinds.iter().for_each(|kind| words_of(kind, words)),
@@ -269,7 +275,7 @@ fn inner(kind: &Kind) -> Option<&'static Declaration> {
         }
         Kind::KeysAnd(of, _) => Some(of()),
         Kind::Named { kind, name, .. } if !["TIME", "NUMBER"].contains(name) => inner(kind),
-        Kind::List(kind, _) => inner(kind),
+        Kind::List(kind, _) | Kind::Name(_, kind) | Kind::NameKeys(_, kind) => inner(kind),
         Kind::AnyOf(kinds) => kinds.iter().find_map(|kind| inner(kind)),
         _ => None,
     }

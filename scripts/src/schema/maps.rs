@@ -41,7 +41,11 @@ fn collect_from(
             collect(of(), maps);
             collect_from(kind, maps, named);
         }
-        Kind::Entries(kind) | Kind::SomeEntries(kind) | Kind::List(kind, _) => {
+        Kind::Entries(kind)
+        | Kind::SomeEntries(kind)
+        | Kind::List(kind, _)
+        | Kind::Name(_, kind)
+        | Kind::NameKeys(_, kind) => {
             collect_from(kind, maps, named);
         }
         Kind::Tuple(kinds) | Kind::AnyOf(kinds) => {

@@ -37,9 +37,8 @@ impl Document {
         }
     }
 
-    /// Returns the kind of document that has these keys; `None` if they do not identify a kind.
-    fn of(entries: &[(String, Node)]) -> Option<Self> {
-        let has = |name: &str| entries.iter().any(|(key, _)| key == name);
+    /// Returns the kind of a document for whose keys `has` returns true; `None` if they do not identify a kind.
+    pub fn of(has: impl Fn(&str) -> bool) -> Option<Self> {
         if has("cues") || has("acts") || has("scenario") {
             Some(Self::Scenario)
         } else if has("world") {
@@ -51,6 +50,10 @@ impl Document {
         } else {
             None
         }
+    }
+
+    fn of_entries(entries: &[(String, Node)]) -> Option<Self> {
+        Self::of(|name| entries.iter().any(|(key, _)| key == name))
     }
 
     /// Returns the hint for a document of this kind where `wanted` was expected.
@@ -73,7 +76,7 @@ impl Document {
 pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Finding> {
     match document {
         Node::Map(entries) => {
-            let found = Document::of(entries).filter(|found| *found != wanted)?;
+            let found = Document::of_entries(entries).filter(|found| *found != wanted)?;
             let message = format!("this is {}, not {}", found.name(), wanted.name());
             Some(not_wanted(source, wanted, message, found.instead_of(wanted).to_owned()))
         }
@@ -104,7 +107,9 @@ pub fn mistaken_by_keys(
 pub fn is_foreign(document: &Node, keys: &[&'static str]) -> bool {
     let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
     match document {
-        Node::Map(entries) => Document::of(entries).is_none() && !entries.iter().any(|(key, _)| belongs(key)),
+        Node::Map(entries) => {
+            Document::of_entries(entries).is_none() && !entries.iter().any(|(key, _)| belongs(key))
+        }
         Node::List(_) => true,
         _ => false,
     }
@@ -129,7 +134,7 @@ pub fn not_to_include(document: &Node, keys: &[&'static str]) -> Option<(String,
         }
         _ => return None,
     };
-    let found = Document::of(entries)?;
+    let found = Document::of_entries(entries)?;
     let hint = match found {
         Document::Scenario => {
             "move the shared keys, such as `moves`, to a separate file, and include that file"

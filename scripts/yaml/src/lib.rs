@@ -3,6 +3,7 @@
 //! | module | |
 //! |---|---|
 //! | [`node`], [`at`] | the tree; a node with the path that leads to it |
+//! | [`tree`] | a tree with positions, of text that may be incomplete |
 //! | [`finding`] | a mistake of a user: its code, its place, and how to fix it |
 //! | [`locate`], [`render`], [`sarif`] | lines and columns of findings; findings as text and as SARIF |
 //! | [`source`], [`open`], [`project`], [`files`], [`home`], [`refusal`] | files, and which of them may be read |
@@ -33,3 +34,4 @@ pub mod shown;
 pub mod source;
 pub mod syntax;
 pub mod tags;
+pub mod tree;

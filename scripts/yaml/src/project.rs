@@ -1,11 +1,13 @@
 //! The project: the folder that must contain all files that scenarios and fleets name. A file from someone else can therefore not cause
 //! arbitrary files to be read, or quoted in findings.
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs::Metadata;
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::composed::is_same;
 use crate::finding::{Code, Finding};
@@ -17,6 +19,8 @@ use crate::source::{Source, bytes_of, refused};
 pub struct Project {
     /// The canonical path of the folder, without symbolic links.
     root: PathBuf,
+    /// Texts that are read instead of the files at these canonical paths.
+    unsaved: Arc<BTreeMap<PathBuf, String>>,
 }
 
 impl Project {
@@ -33,9 +37,9 @@ impl Project {
     pub fn of_folder(folder: &Path) -> Self {
         let Ok(own) = real(folder) else {
             // The folder does not exist, so reading fails anyway.
-            return Self { root: std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()) };
+            return Self::at(std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
         };
-        let Ok(owned) = own.metadata() else { return Self { root: own } };
+        let Ok(owned) = own.metadata() else { return Self::at(own) };
         let home = std::env::home_dir().and_then(|home| home.canonicalize().ok());
         let may_hold = |above: &&Path| {
             let same = |above: Metadata| above.uid() == owned.uid() && above.mode() & 0o002 == 0;
@@ -44,7 +48,17 @@ impl Project {
         let above: Vec<&Path> = own.ancestors().take_while(may_hold).collect();
         let with = |mark: &str| above.iter().find(|folder| folder.join(mark).symlink_metadata().is_ok());
         let root = with(".git").or_else(|| with("fleet.yaml")).map(|root| root.to_path_buf());
-        Self { root: root.unwrap_or(own) }
+        Self::at(root.unwrap_or(own))
+    }
+
+    fn at(root: PathBuf) -> Self {
+        Self { root, unsaved: Arc::default() }
+    }
+
+    /// Returns this project with texts that an editor has not yet saved. They are read instead of the files at these canonical paths.
+    #[must_use]
+    pub fn with_unsaved(self, unsaved: Arc<BTreeMap<PathBuf, String>>) -> Self {
+        Self { unsaved, ..self }
     }
 
     /// Creates a project from a folder that the user names explicitly.
@@ -53,7 +67,7 @@ impl Project {
     /// Returns an error if there is no such folder.
     pub fn within(folder: &Path) -> io::Result<Self> {
         let root = real(folder)?;
-        if root.is_dir() { Ok(Self { root }) } else { Err(io::ErrorKind::NotADirectory.into()) }
+        if root.is_dir() { Ok(Self::at(root)) } else { Err(io::ErrorKind::NotADirectory.into()) }
     }
 
     /// The folder of the project.
@@ -79,6 +93,9 @@ impl Project {
     /// Like [`Self::read`], but for a file that may be binary.
     pub fn read_bytes(&self, path: &Path) -> Result<Vec<u8>, Finding> {
         let real = self.real(path)?;
+        if let Some(text) = self.unsaved.get(&real) {
+            return Ok(text.clone().into_bytes());
+        }
         let file = open_regular(&real).map_err(|error| refused(path, &error))?;
         bytes_of(path, file)
     }
@@ -190,6 +207,17 @@ mod tests {
         stage.check("a/shows/x.yaml", "a");
         stage.check("b/c/d/x.yaml", "b");
         stage.check("e/f/x.yaml", "e/f");
+    }
+
+    #[test]
+    fn unsaved_text_is_read_instead_of_its_file() {
+        let stage = Stage::of(&["a/fleet.yaml", "a/x.yaml", "b/x.yaml"]);
+        let unsaved =
+            [(stage.path("a/x.yaml"), "new".to_owned()), (stage.path("b/x.yaml"), "new".to_owned())];
+        let project = Project::of(&stage.path("a/x.yaml")).with_unsaved(Arc::new(unsaved.into()));
+        assert_eq!(project.read(&stage.path("a/x.yaml")).unwrap().text, "new");
+        assert_eq!(project.read(&stage.path("a/fleet.yaml")).unwrap().text, "a/fleet.yaml");
+        assert_eq!(project.read(&stage.path("b/x.yaml")).unwrap_err().code, Code::OutsideProject);
     }
 
     #[test]

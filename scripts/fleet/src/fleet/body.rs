@@ -62,11 +62,11 @@ keys! {
         /// The end of the last link in the frame of the last joint, in metres.
         tip: kinds::VECTOR,
         /// The URDF of its arm, relative to the fleet file, instead of `joints` and `tip`.
-        urdf: kinds::TEXT,
+        urdf: kinds::FILE,
         /// The link of the URDF at which the arm ends.
         end: kinds::TEXT,
         /// The device of each joint of the URDF, or a number in degrees or metres if the joint does not move.
-        devices: Kind::Entries(&kinds::NAME),
+        devices: Kind::Entries(&kinds::DEVICE),
         /// Its largest speed in any direction, in metres per second.
         speed: kinds::POSITIVE,
         /// Its largest acceleration in any direction, in metres per second squared.
@@ -80,7 +80,7 @@ keys! {
     pub(crate) struct CoordinateKeys {
         /// A device of the robot.
         #[required]
-        device: kinds::NAME,
+        device: kinds::DEVICE,
         /// Metres, or degrees, per unit of the device.
         scale: kinds::PLAIN_NUMBER,
         /// The position at the device's zero, in metres or degrees.
@@ -90,7 +90,7 @@ keys! {
 
 named! {
     /// A device, a number in metres or degrees, or a device with a scale.
-    pub(crate) static COORDINATE = Kind::AnyOf(&[&kinds::NAME, &CoordinateKeys::KIND]);
+    pub(crate) static COORDINATE = Kind::AnyOf(&[&kinds::DEVICE, &CoordinateKeys::KIND]);
 }
 
 /// Units of length, each with its size in metres.

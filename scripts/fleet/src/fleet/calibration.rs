@@ -25,7 +25,7 @@ keys! {
     /// The calibration of a device.
     pub(crate) struct CalibrateKeys {
         /// The sensor that shows the position of the device, in its unit; by default the device itself.
-        sensor: kinds::NAME,
+        sensor: kinds::DEVICE,
         /// Where the movement starts; by default at the current position.
         from: kinds::PLAIN_NUMBER,
         /// The small safe distance by which it may be moved from there, in its unit; not 0.

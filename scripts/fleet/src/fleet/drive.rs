@@ -39,7 +39,7 @@ keys! {
     pub(crate) struct SignalKeys {
         /// A device of the robot.
         #[required]
-        device: kinds::NAME,
+        device: kinds::DEVICE,
         /// Metres per second, or degrees per second, per unit of the device.
         scale: kinds::PLAIN_NUMBER,
     }
@@ -47,7 +47,7 @@ keys! {
 
 named! {
     /// A device, or a device with a scale.
-    pub(crate) static SIGNAL = Kind::AnyOf(&[&kinds::NAME, &SignalKeys::KIND]);
+    pub(crate) static SIGNAL = Kind::AnyOf(&[&kinds::DEVICE, &SignalKeys::KIND]);
 }
 
 /// Units of speed, each with its size in metres per second.

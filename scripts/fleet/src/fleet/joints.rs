@@ -28,7 +28,7 @@ keys! {
     /// A joint, with the link from it to the next joint or to the tip.
     pub(crate) struct JointKeys as "joint" {
         /// The device that moves it.
-        device: kinds::NAME,
+        device: kinds::DEVICE,
         /// The angle or the displacement of a joint that does not move, in degrees or metres.
         value: kinds::PLAIN_NUMBER,
         /// Degrees, or metres, per unit of the device.

@@ -14,7 +14,7 @@ use crate::kinds;
 use downbeat_import::scalar;
 use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys;
-use downbeat_reader::keys::{Declaration, Kind};
+use downbeat_reader::keys::{Declaration, Item, Kind, Naming};
 use downbeat_yaml::duration::written;
 use downbeat_yaml::finding::{Code, Finding, Place};
 use downbeat_yaml::locate::locate;
@@ -43,7 +43,7 @@ keys! {
     pub(crate) struct FileKeys {
         /// Latencies by robot and by device.
         #[required]
-        latency: Kind::Entries(&Kind::Entries(&MeasuredKeys::KIND)),
+        latency: Kind::NameKeys(Naming::Uses(Item::Robot), &Kind::Entries(&Kind::NameKeys(Naming::Uses(Item::Device), &Kind::Entries(&MeasuredKeys::KIND)))),
     }
 }
 

@@ -18,7 +18,7 @@ keys! {
         /// The time constant of the first-order lag with which it follows afterwards.
         time_constant: kinds::TIME,
         /// The sensor that shows the position of the body; by default the device itself.
-        sensor: kinds::NAME,
+        sensor: kinds::DEVICE,
         /// Standard deviation of the sensor's readings, in its unit.
         noise: schema!({"type": "number", "minimum": 0}),
         /// The time that the sensor takes to answer. It reports the value at the time of the question.

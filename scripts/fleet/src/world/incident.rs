@@ -5,6 +5,7 @@ use urrcp::Span;
 use super::amount::{self, Between, between};
 use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys::{Item, Kind, Naming};
 use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::Code;
 
@@ -13,12 +14,12 @@ keys! {
     pub(crate) struct IncidentKeys as "incident" {
         /// A robot, a group, or `all`. The incident is drawn separately for each robot.
         #[required]
-        robot: kinds::NAME,
+        robot: Kind::Name(Naming::Uses(Item::Robot), &kinds::NAME),
         /// The kind of fault.
         #[required]
         what: words!(WHAT_WORDS),
         /// The act from whose planned start `at` counts; without it, from the beginning of the mission.
-        act: kinds::NAME,
+        act: Kind::Name(Naming::Uses(Item::Act), &kinds::NAME),
         /// The time of the fault. By default 0s.
         at: amount::SIGNED_TIMES,
         /// The duration; `refuses` without it is permanent.

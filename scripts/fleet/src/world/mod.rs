@@ -14,7 +14,7 @@ use urrcp::RobotId;
 use crate::fleet::Fleet;
 use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys::{Declaration, Kind};
+use downbeat_reader::keys::{Declaration, Item, Kind, Naming};
 use downbeat_reader::{keys, schema};
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, Finding, Place};
@@ -40,11 +40,11 @@ keys! {
         #[required]
         world: kinds::NAME,
         /// The links, by robot, by group, or `all`.
-        links: Kind::Entries(&LinkKeys::KIND),
+        links: Kind::NameKeys(Naming::Uses(Item::Robot), &Kind::Entries(&LinkKeys::KIND)),
         /// The clocks, by robot, by group, or `all`.
-        clocks: Kind::Entries(&ClockKeys::KIND),
+        clocks: Kind::NameKeys(Naming::Uses(Item::Robot), &Kind::Entries(&ClockKeys::KIND)),
         /// The readings of sensors, by ROBOT/SENSOR.
-        sensors: Kind::Entries(&outside::READING),
+        sensors: Kind::NameKeys(Naming::Uses(Item::RobotDevice), &Kind::Entries(&outside::READING)),
         /// How the operator behaves.
         operator: Kind::AnyOf(&[&schema!({"type": "null"}), &OperatorKeys::KIND]),
         /// What goes wrong.
@@ -82,24 +82,29 @@ pub fn world_keys() -> &'static Declaration {
 /// findings.
 #[must_use]
 pub fn read_world(path: &Path, fleet: &Fleet, acts: &[&str]) -> (Option<World>, Vec<Finding>) {
-    let source = match Source::read(path) {
-        Ok(source) => source,
-        Err(finding) => return (None, vec![finding]),
-    };
-    let document = match node::parse(&source) {
+    match Source::read(path) {
+        Ok(source) => world_of(&source, fleet, acts),
+        Err(finding) => (None, vec![finding]),
+    }
+}
+
+/// Like [`read_world`], but reads the given text.
+#[must_use]
+pub fn world_of(source: &Source, fleet: &Fleet, acts: &[&str]) -> (Option<World>, Vec<Finding>) {
+    let document = match node::parse(source) {
         Ok(document) => document,
         Err(finding) => return (None, vec![finding]),
     };
-    if let Some(mistaken) = identify::mistaken(&source, &document, Document::World) {
+    if let Some(mistaken) = identify::mistaken(source, &document, Document::World) {
         return (None, vec![mistaken]);
     }
-    let tags = foreign_tags(&source);
+    let tags = foreign_tags(source);
     if !tags.is_empty() {
         return (None, tags);
     }
     let mut reader = WorldReader { findings: Reader::default(), fleet, acts };
     let world = reader.world(&At::document(&document, 0));
-    let findings = locate(std::slice::from_ref(&source), reader.findings.finish());
+    let findings = locate(std::slice::from_ref(source), reader.findings.finish());
     (world.filter(|_| findings.is_empty()), findings)
 }
 

@@ -83,10 +83,64 @@ pub enum Kind {
     Tuple(&'static [&'static Self]),
     /// One of the given words.
     Words(&'static [&'static str]),
+    /// Texts that name items; lists of such texts, too.
+    Name(Naming, &'static Self),
+    /// Maps whose keys name items, except for declared keys.
+    NameKeys(Naming, &'static Self),
     /// One of several kinds.
     AnyOf(&'static [&'static Self]),
     /// Values that are described by this JSON schema.
     Schema(&'static str),
+}
+
+/// A kind of item that a name refers to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Item {
+    /// A robot, a group or a role.
+    Robot,
+    /// A device of a robot.
+    Device,
+    /// A robot and one of its devices, separated by a slash.
+    RobotDevice,
+    /// A move.
+    Move,
+    /// A sequence of cues.
+    Sequence,
+    /// A cue; the name may be part of a relation, such as `start of raise + 1s`.
+    Cue,
+    /// An act.
+    Act,
+    /// A zone.
+    Zone,
+    /// A formation.
+    Formation,
+    /// A path through space.
+    Path,
+    /// A variable.
+    Variable,
+    /// A parameter of a move, a sequence or an included file.
+    Parameter,
+    /// Another file, relative to the folder of its own file.
+    File,
+}
+
+/// The role of a name: whether it defines an item or uses one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Naming {
+    /// The name defines an item.
+    Defines(Item),
+    /// The name refers to an item.
+    Uses(Item),
+}
+
+impl Naming {
+    /// The kind of item that is named.
+    #[must_use]
+    pub const fn item(self) -> Item {
+        match self {
+            Self::Defines(item) | Self::Uses(item) => item,
+        }
+    }
 }
 
 /// Returns the words of a table that [`Reader::word`](crate::fields::Reader::word) uses.

@@ -1,6 +1,6 @@
 //! Kinds of values that many keys have in common.
 
-use super::keys::Kind;
+use super::keys::{Item, Kind, Naming};
 use super::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
 use crate::{named, schema, words};
 
@@ -14,6 +14,9 @@ pub static POSITIVE: Kind = schema!({"type": "number", "exclusiveMinimum": 0});
 pub static SPREAD: Kind = SpreadKeys::KIND;
 /// The kind of the literals `true` and `false`.
 pub static BOOLEAN: Kind = schema!({"type": "boolean"});
+
+/// The kind of the name of another file.
+pub static FILE: Kind = Kind::Name(Naming::Uses(Item::File), &TEXT);
 
 named! {
     /// A name.
