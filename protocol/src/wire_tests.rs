@@ -4,8 +4,8 @@ mod arbitrary;
 
 use crate::{
     Command, ControlRequest, ControlResponse, ControlType, DecodeErrorKind, Decoder, DeviceId, Encoding,
-    ErrorCode, Message, Millis, RequestId, Script, Setpoint, StatusValue, Step, StopCondition, encode,
-    encode_as,
+    ErrorCode, InitializationBlock, Interpolation, Message, Millis, RequestId, RobotType, Script, Setpoint,
+    StatusValue, Step, StopCondition, encode, encode_as,
 };
 
 /// The example script of the paper with the values 45, 0, 45, as `docs/protocol.md` shows it.
