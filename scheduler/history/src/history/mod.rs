@@ -236,7 +236,7 @@ impl History {
         Some(report)
     }
 
-    /// The last instant of which the file contains anything; `None` if it contains nothing.
+    /// The last instant with an entry in the file; `None` if the file has no entries.
     pub(crate) fn known_until(&self) -> Option<Timestamp<Server>> {
         let happened = self.told.iter().map(|(at, _)| *at).chain(self.records.iter().map(|(at, _)| *at));
         happened.chain(self.robots.iter().filter_map(|robot| robot.heard)).max()
