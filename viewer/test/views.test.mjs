@@ -135,3 +135,19 @@ test("panels can be resized with the keyboard", async () => {
   assert.ok((await height()) > before + 10);
   await close();
 });
+
+test("print leaves the verdict and the chosen details, with every row", async () => {
+  const { html } = await lit();
+  const { page, close } = await browser.open(html, { address: "#mode=check" });
+  await page.waitForSelector("main.check-mode");
+  await page.keyboard.press("3");
+  await page.emulateMedia({ media: "print" });
+  for (const hidden of [".transport", ".tabs", ".timeline", ".margins", ".toolbar"]) assert.equal(await page.locator(hidden).isVisible(), false, hidden);
+  assert.ok(await page.locator("#verdict").isVisible());
+  const cut = await page.evaluate(() => {
+    const { bottom } = document.querySelector("#cues").getBoundingClientRect();
+    return bottom > document.documentElement.scrollHeight;
+  });
+  assert.equal(cut, false);
+  await close();
+});

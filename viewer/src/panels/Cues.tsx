@@ -40,6 +40,11 @@ export function Cues() {
                   >
                     <Name text={cue.name} />
                   </button>
+                  {cue.note && (
+                    <div class="note">
+                      <Name text={cue.note} />
+                    </div>
+                  )}
                   <Unplayed text={notPlayed(acts[act], start, end)} />
                 </th>
                 <td class="number">{clock(start)}</td>

@@ -33,7 +33,7 @@ export function Source() {
         <small>
           {cue === null
             ? "Click a line to select its cue."
-            : `cue ${visible(cue.name)}, lines ${cue.first_line} to ${cue.last_line}`}
+            : `cue ${visible(cue.name)}, ${cue.first_line === cue.last_line ? `line ${cue.first_line}` : `lines ${cue.first_line} to ${cue.last_line}`}`}
         </small>
       </div>
       <Lines key={file} text={sources[file]?.text ?? ""} marks={marks} pick={(line) => pick(session, file, line)} />

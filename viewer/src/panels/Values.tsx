@@ -24,8 +24,8 @@ export function Values() {
           <th>device</th>
           <th class="number">planned</th>
           <th>step</th>
-          <th class="number">set</th>
-          <th class="number">read</th>
+          <th class="number">last set</th>
+          <th class="number">last read</th>
           <th>cue</th>
         </tr>
       </thead>

@@ -22,7 +22,7 @@ const SOLID = {
 };
 
 /** More bodies are drawn with fewer triangles and without smooth edges, so that they move fluently without a graphics card. */
-const MANY = 150;
+const MANY = 60;
 /** Radius in pixels. */
 const SMALLEST = 2;
 

@@ -45,7 +45,6 @@ export function drawPhases(sheet: Sheet, scale: Scale, show: Show, top: number, 
     flag(sheet, x, top, height, phase.letter === "▶");
     context.fillStyle = palette.text;
     if (room > widthOf(context, phase.name) + 12) context.fillText(phase.name, x + 5, top + 9);
-    else if (room > 14) context.fillText(phase.letter, x + 4, top + 9);
   });
 }
 
