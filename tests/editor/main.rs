@@ -4,6 +4,7 @@
 mod edited;
 mod features;
 mod findings;
+mod watch;
 
 use std::path::{Path, PathBuf};
 

@@ -52,6 +52,7 @@ mod sim;
 mod stop;
 mod traces;
 mod trials;
+mod watch;
 mod withdraw;
 mod world;
 
