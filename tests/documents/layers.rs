@@ -74,6 +74,7 @@ fn module_imports_have_no_cycles() {
         "scripts/plan/src",
         "scripts/export/src",
         "scripts/src",
+        "scripts/lsp/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",
         "scheduler/rehearsal/src",

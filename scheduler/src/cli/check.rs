@@ -8,6 +8,7 @@ use downbeat_scripts::{Attempt, Choreography, Refusal, Requirements};
 use serde::Serialize;
 
 use super::load::{self, Loaded};
+use super::watch::Stamp;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::requirements::{Figures, Judged, any_unmet, closest_of, judge};
 use crate::show::requirements_table;
@@ -18,6 +19,7 @@ use crate::show::requirements_table;
   downbeat check show.yaml
   downbeat check show.yaml --fleet stage.yaml --format json
   downbeat check show.yaml --deny warnings --sarif findings.sarif
+  downbeat check show.yaml --watch    again after each change
   downbeat explain DB0012    explain a code in detail")]
 pub(super) struct CheckArgs {
     #[command(flatten)]
@@ -28,6 +30,9 @@ pub(super) struct CheckArgs {
     /// Also write the findings as SARIF 2.1.0, which code hosts show next to the lines.
     #[arg(long, value_name = "FILE")]
     sarif: Option<PathBuf>,
+    /// Check again after each change of a file in the project, until Ctrl-C.
+    #[arg(long)]
+    watch: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -48,6 +53,19 @@ struct Checked<'a> {
 }
 
 pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
+    if !args.watch {
+        return check_once(args, format);
+    }
+    let project = args.scenario.project.of(&args.scenario.scenario);
+    let mut files = Stamp::of(project.root());
+    loop {
+        check_once(args, format);
+        console::note(&format!("waiting for a change of a file in `{}`", project.root().display()));
+        files = files.wait_for_change(project.root());
+    }
+}
+
+fn check_once(args: &CheckArgs, format: Format) -> Exit {
     let Loaded { choreography, findings, scenario, unreadable, .. } = load::load(&args.scenario);
     if let Some(path) = &args.sarif {
         let sarif = downbeat_scripts::sarif(&findings);

@@ -63,7 +63,7 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
 
 /// Options of other programs that the documents call: cargo, cargo-mutants, systemctl, zenohd, Blender, jq, `soak` and the experiments in
 /// `lab/`.
-const FOREIGN: [&str; 30] = [
+const FOREIGN: [&str; 32] = [
     "version",
     "locked",
     "now",
@@ -94,6 +94,8 @@ const FOREIGN: [&str; 30] = [
     "ro-bind",
     "symlink",
     "chdir",
+    "allow-missing-repository",
+    "install-extension",
 ];
 
 /// Returns the options of the drivers in Python.

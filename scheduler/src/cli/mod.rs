@@ -35,6 +35,7 @@ mod keys;
 mod listen;
 mod live;
 mod load;
+mod lsp;
 mod metrics;
 mod missions;
 mod moves;
@@ -54,6 +55,7 @@ mod sim;
 mod stop;
 mod traces;
 mod trials;
+mod watch;
 mod withdraw;
 mod world;
 
@@ -120,6 +122,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Explain the code of a finding in detail.
     Explain(explain::ExplainArgs),
+    /// Serve an editor that speaks the Language Server Protocol.
+    Lsp(lsp::LspArgs),
     /// List the moves and sequences of a scenario with their parameters, devices and documentation.
     Moves(moves::MovesArgs),
     /// Show when each cue takes place and which requests each robot receives.
@@ -271,6 +275,7 @@ pub fn main() -> ExitCode {
         Command::Init(args) => init::init(&args, format),
         Command::Check(args) => check::check(&args, format),
         Command::Explain(args) => explain::explain(&args, format),
+        Command::Lsp(args) => lsp::lsp(&args),
         Command::Moves(args) => moves::moves(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
         Command::Graph(args) => graph::graph(&args, format),

@@ -10,7 +10,7 @@ use crate::render::line_starts;
 /// The nodes of a text.
 #[derive(Clone, Debug, Default)]
 pub struct Tree {
-    /// The nodes, each after its parent. The first one is the root. A text without values has no nodes.
+    /// The nodes, each after its parent, the root first. Empty for a text without values.
     pub nodes: Vec<Spanned>,
     /// Whether the text is valid YAML to its end.
     pub is_whole: bool,

@@ -6,6 +6,7 @@
 
 pub mod busy;
 pub mod compiled;
+pub mod editor;
 pub mod held_up;
 pub mod meddler;
 pub mod operators;
