@@ -7,7 +7,7 @@ use super::heard::Ticket;
 use super::ids::line_of;
 use super::inquiries::is_at;
 use super::line::Line;
-use super::requirement::{Checked, Requirement, Unmet, differs, pass};
+use super::requirement::{Checked, Requirement, Unmet, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
 pub(super) const ALL: [Requirement; 5] = [

@@ -7,7 +7,7 @@ use super::greeting::compare_clocks;
 use super::heard::Ticket;
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, pass};
-use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+use super::trial::{LEASE_MS, Shaped, Trial};
 
 pub(super) const ALL: [Requirement; 6] = [
     Requirement {
