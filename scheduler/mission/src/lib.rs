@@ -7,7 +7,7 @@
 //! Events of one instant are handled in the order in which the driver passes them. Timers of that instant come last, so an answer that
 //! arrives just in time is accepted.
 
-#![warn(clippy::too_many_lines)]
+#![warn(clippy::mod_module_files, clippy::too_many_lines)]
 
 pub(crate) mod act;
 mod again;

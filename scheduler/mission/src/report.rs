@@ -19,7 +19,7 @@ pub use wake_up::HostWakeUp;
 pub use withdrawal::{Withdrawal, WithdrawnRobot};
 
 /// The JSON Schema of a report.
-pub const SCHEMA: &str = include_str!("schema.json");
+pub const SCHEMA: &str = include_str!("report/schema.json");
 
 /// The report of one mission. In JSON, times are in milliseconds and instants in RFC 3339.
 #[derive(Clone, Debug, Serialize)]

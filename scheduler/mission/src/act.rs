@@ -40,6 +40,7 @@ pub(crate) use timing::Timing;
 
 /// Stage of an act.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a mission has at most two acts under way")]
 enum Stage {
     /// The act's condition does not hold yet.
     Waiting(waiting::Waiting),
