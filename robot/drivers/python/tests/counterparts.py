@@ -157,9 +157,25 @@ class SerialLine:
         return rest, answer
 
 
-def serve_modbus(port, log):
-    """The server of pymodbus with 100 registers."""
-    from pymodbus.server import StartTcpServer
+def joined_lines(path):
+    """Two pseudo terminals that are connected with each other, one of them at `path`. Returns the name of the other."""
+    (one, port), (other, server) = os.openpty(), os.openpty()
+    for line in (port, server):
+        tty.setraw(line)
+
+    def copy(source, target):
+        while True:
+            os.write(target, os.read(source, 4096))
+
+    for ends in ((one, other), (other, one)):
+        threading.Thread(target=copy, args=ends, daemon=True).start()
+    pathlib.Path(path).symlink_to(os.ttyname(port))
+    return os.ttyname(server)
+
+
+def serve_modbus(at, log):
+    """The server of pymodbus with 100 registers: at a TCP port, or at the path of a serial line."""
+    from pymodbus.server import StartSerialServer, StartTcpServer
     from pymodbus.simulator import DataType, SimData, SimDevice
 
     def logged(is_sent, pdu):
@@ -173,8 +189,14 @@ def serve_modbus(port, log):
 
     blocks = [[SimData(0, count=100, datatype=DataType.BITS)], [SimData(0, count=100, datatype=DataType.BITS)],
               [SimData(0, count=100, datatype=DataType.REGISTERS)], [SimData(0, count=100, values=7, datatype=DataType.REGISTERS)]]
-    print("ready", flush=True)
-    StartTcpServer(SimDevice(1, simdata=tuple(blocks)), address=("127.0.0.1", port), trace_pdu=logged, trace_connect=connected)
+    device = SimDevice(1, simdata=tuple(blocks))
+    if at.isdigit():
+        print("ready", flush=True)
+        StartTcpServer(device, address=("127.0.0.1", int(at)), trace_pdu=logged, trace_connect=connected)
+    else:
+        line = joined_lines(at)
+        print("ready", flush=True)
+        StartSerialServer(device, port=line, baudrate=19200, trace_pdu=logged, trace_connect=connected)
 
 
 def serve_opcua(port, log):
@@ -381,7 +403,7 @@ def main():
     elif name == "ur_rtde":
         UrController(log, at).serve()
     else:
-        {"modbus": serve_modbus, "opcua": serve_opcua}[name](int(at), log)
+        {"modbus": serve_modbus, "opcua": serve_opcua}[name](at, log)
 
 
 if __name__ == "__main__":

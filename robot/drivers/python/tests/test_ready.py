@@ -252,6 +252,19 @@ class Modbus(Ready):
         server.kill()
         self.assert_fails_without(driver)
 
+    def test_a_serial_line_is_used_as_a_port(self):
+        if importlib.util.find_spec("serial") is None:
+            self.skipTest("the package pyserial is not installed")
+        port = self.folder / "port"
+        server = self.counterpart("modbus", port)
+        driver = self.driver("modbus", port, "arm=40:int16*10", "back=40*10")
+        answer = driver.init(device("arm", "position", -90, 90), device("back", "sensor", -90, 90))
+        self.assertTrue(answer.startswith("ok {"), answer)
+        self.assertEqual((driver.ask("set arm position -12.5"), driver.ask("read back")), ("ok", "-12.5"))
+        self.assertEqual(self.received(), ["40 65411"])
+        server.kill()
+        self.assert_fails_without(driver)
+
     def test_a_missing_register_is_refused_before_the_start(self):
         port = free_port()
         self.counterpart("modbus", port)
