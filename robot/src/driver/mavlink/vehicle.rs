@@ -18,7 +18,7 @@ use crate::driver::{Driver, DriverError};
 
 /// Number of ArduCopter's mode in which it follows positions of a ground station.
 const GUIDED: f32 = 4.0;
-/// A vehicle whose last message is older than this does not answer. It sends 20 positions per second.
+/// A vehicle whose last message is older than this does not answer. Connected, it sends 20 positions per second.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// Time to wait for a heartbeat when connecting.
 const HEARTBEAT_WAIT: Duration = Duration::from_millis(1_100);

@@ -174,12 +174,14 @@ impl<'a> Hand<'a> {
     /// Orders all devices that were moved to stay where they are.
     ///
     /// # Errors
-    /// Returns the first error. The devices may then not be at rest.
+    /// Returns the first error. The devices may then not be at rest; the next call orders them again.
     pub(super) async fn hold(&mut self) -> Result<(), JogError> {
         let mut held = Ok(());
-        for device in std::mem::take(&mut self.moved) {
-            let one = self.talk.hold(&device).await;
-            held = held.and(one.map_err(JogError::from));
+        for device in self.moved.clone() {
+            match self.talk.hold(&device).await {
+                Ok(()) => drop(self.moved.remove(&device)),
+                Err(error) => held = held.and(Err(error.into())),
+            }
         }
         held
     }

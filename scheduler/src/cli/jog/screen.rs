@@ -182,7 +182,9 @@ fn slider_line(slider: &Slider, name: usize, is_selected: bool) -> String {
         }
     }
     let unit = slider.unit.as_deref().map(|unit| format!(" {unit}")).unwrap_or_default();
-    let at = slider.at.map_or_else(|| "unknown".to_owned(), |at| at.to_string());
+    // During a movement, the commanded position is between those of the grid.
+    let at = slider.at.map(|at| slider.limits.nearest_settable(at));
+    let at = at.map_or_else(|| "unknown".to_owned(), |at| at.to_string());
     let to = target.map(|target| format!(" to {target}")).unwrap_or_default();
     let reads = slider.reading.map(|reading| format!(", reads {reading}")).unwrap_or_default();
     let mark = if is_selected { '>' } else { ' ' };
@@ -291,6 +293,8 @@ impl Operation<'_, '_> {
                 lock(self.screen).message = "stopped".to_owned();
             }
             Order::Save(name) => {
+                // The positions on the screen may be those of the last tick.
+                self.look().await?;
                 let mut screen = lock(self.screen);
                 let pose = pose(&screen.sliders);
                 let saved = SaveAs { name, path: self.poses.to_path_buf() };
@@ -304,13 +308,19 @@ impl Operation<'_, '_> {
         Ok(())
     }
 
-    /// Renews the leases, reads the positions back, and begins the next movement once the previous one has ended.
-    async fn step(&mut self) -> Result<(), JogError> {
+    /// Renews the leases, and reads the positions back.
+    async fn look(&mut self) -> Result<Vec<Slider>, JogError> {
         let mut sliders = lock(self.screen).sliders.clone();
         self.reserved.hand.look(&mut sliders).await?;
         for (shown, read) in lock(self.screen).sliders.iter_mut().zip(&sliders) {
             (shown.at, shown.reading) = (read.at, read.reading);
         }
+        Ok(sliders)
+    }
+
+    /// Begins the next movement once the previous one has ended.
+    async fn step(&mut self) -> Result<(), JogError> {
+        let sliders = self.look().await?;
         if let Some(movement) = &self.movement
             && !self.reserved.hand.has_ended(movement)?
         {
@@ -395,6 +405,7 @@ mod tests {
     #[test]
     fn screen_shows_positions_targets_and_readings() {
         let mut screen = screen();
+        screen.sliders[0].at = Some(0.1234);
         screen.sliders[0].target = Some(90.0);
         screen.sliders[0].reading = Some(0.25);
         let shown = text(&screen, 100, 24);
@@ -402,6 +413,9 @@ mod tests {
         assert_eq!(lines[0], "arm: reserved");
         assert_eq!(lines[1], "> elbow [------------o----------|] 0 to 90 deg, reads 0.25");
         assert_eq!(lines[2], "  wrist [------------------------] unknown deg");
+        // The pose has a position on the grid, and none for a device whose position is unknown.
+        let pose: Vec<_> = pose(&screen.sliders).into_iter().map(|device| device.position).collect();
+        assert_eq!(pose, [0.0]);
         screen.press(Key::Down);
         let small = text(&screen, 60, 6);
         assert!(small.contains("> wrist") && !small.contains("elbow"), "{small}");

@@ -42,12 +42,12 @@ pub(super) fn of(robot: &FleetRobot) -> Vec<Slider> {
     robot.init.iter().flat_map(|block| &block.devices).filter_map(slider).collect()
 }
 
-/// Returns the pose of a robot: the nearest position to that of its own sensor, or else the commanded position. Devices whose position is
-/// unknown have none.
+/// Returns the pose of a robot: the position of each device by its own sensor, or else the commanded position, on the device's grid. Devices
+/// whose position is unknown have none.
 pub(super) fn pose(sliders: &[Slider]) -> Vec<PoseDevice> {
     let position = |slider: &Slider| {
         let own = slider.reading.filter(|_| slider.sensor.as_ref() == Some(&slider.device));
-        own.map(|reading| slider.limits.nearest_settable(reading)).or(slider.at)
+        own.or(slider.at).map(|position| slider.limits.nearest_settable(position))
     };
     let device = |slider: &Slider| {
         let (device, moves_linearly) = (slider.device.clone(), slider.moves_linearly);
