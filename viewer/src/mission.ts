@@ -245,7 +245,7 @@ export interface DeviceSeries { robot: number; device: number; act: number | nul
 
 /** The parts of a report that the page shows, as read by `data/report.ts`. The document contains the rest, too. */
 export interface Report {
-  /** Why everything was stopped, as text, if neither the outcome nor a failure states it. */
+  /** Why everything was stopped, as text, if the outcome and the failures do not state it. */
   because: string;
   /** Requirements of the scenario, judged by a dry run. */
   requirements: ReportedRequirement[];

@@ -203,3 +203,13 @@ test("more than a dozen robots have one row for each group, until it is unfolded
   assert.deepEqual(rows(both).map(({ kind, group, robots: of }) => [kind, group, of.length]), [["group", 0, 11], ["group", 1, 3]]);
   assert.deepEqual(rows([foldOfGroup(0)]).map((row) => row.kind === "robot" ? row.robot : row.kind), ["group", "group", 1, 3, 5]);
 });
+
+test("a search shows the lanes that it finds, even of folded robots and groups", async () => {
+  const { rowsOf, foldOfGroup, NO_FILTER } = await load("state/rows.ts");
+  const robots = Array.from({ length: 14 }, (_, i) => ({ id: `r${i}`, devices: [device("x"), device("lamp")], body: null }));
+  const set = (columns) => [0, 1].map((of) => ({ robot: 3, device: of, act: null, series: columns.series([0], [1]) }));
+  const show = showOf({ lanes: () => [], robots, groups: [{ name: "all", robots: robots.map((_, i) => i) }], set });
+  const folded = new Set([foldOfGroup(0), 3]);
+  const rows = rowsOf(show, { ...NO_FILTER, text: "lamp" }, folded).filter(({ kind }) => kind !== "cues");
+  assert.deepEqual(rows.map((row) => (row.kind === "lane" ? row.track.name : row.kind)), ["group", "robot", "lamp"]);
+});

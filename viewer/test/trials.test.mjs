@@ -9,6 +9,7 @@ import { load } from "./load.mjs";
 import { tried } from "./tried.mjs";
 
 const { replayOf } = await load("trials/command.ts");
+const { time } = await load("text/amount.ts");
 let browser;
 before(async () => (browser = await launch()));
 after(() => browser.close());
@@ -19,7 +20,7 @@ const open = async (document, options) => {
   return opened;
 };
 const percent = ({ share }) => (share === null ? "none" : `${Math.round(share * 10_000) / 100} %`);
-const ms = (quantiles) => (quantiles === null ? ["–", "–", "–"] : ["p50_ms", "p99_ms", "max_ms"].map((key) => `${quantiles[key]} ms`));
+const ms = (quantiles) => (quantiles === null ? ["–", "–", "–"] : ["p50_ms", "p99_ms", "max_ms"].map((key) => time(quantiles[key])));
 const rows = async (page, table) =>
   Promise.all((await page.locator(`${table} tbody tr`).all()).map((row) => row.locator("th, td").allInnerTexts()));
 /** Position of a mark of the histogram, as a fraction of its width. */

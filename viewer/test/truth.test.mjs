@@ -29,7 +29,7 @@ function ofActs(mission, devices) {
 }
 
 test("times have two significant digits and a unit of their size", () => {
-  const cases = [[0.003769, "3.8 µs"], [0.206, "0.21 ms"], [224.6, "225 ms"], [1686.474891, "1686 ms"], [2500, "2.5 s"], [0, "0 ms"], [9.96, "10 ms"], [null, "–"], [0.00002, "20 ns"]];
+  const cases = [[0.003769, "3.8 µs"], [0.206, "0.21 ms"], [224.6, "225 ms"], [1686.474891, "1686 ms"], [2500, "2.5 s"], [5, "5 ms"], [0, "0 ms"], [9.96, "10 ms"], [null, "–"], [0.00002, "20 ns"]];
   for (const [ms, text] of cases) assert.equal(time(ms), text);
   assert.equal(signedTime(-0.25), "-0.25 ms");
   assert.deepEqual([9234, -250, 63_900].map(shortClock), ["0:09.2", "-0:00.3", "1:03.9"]);

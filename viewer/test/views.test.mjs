@@ -102,7 +102,7 @@ test("margins show each limit, and a click leads to the worst instant", async ()
   await page.waitForFunction(() => document.querySelectorAll(".chart").length === 4);
   const titles = await page.locator(".chart-title").allInnerTexts();
   assert.match(titles[0], /closest distance\s+✕ 0\.0\d+ m, cf\d – cf\d, 0:0\d\.\d+\s+at least 0\.15 m/);
-  assert.match(titles[1], /highest speed[\s\S]*at most 2\.0 m\/s/);
+  assert.match(titles[1], /highest speed[\s\S]*at most 2 m\/s/);
   assert.match(titles[3], /distance to the bounds[\s\S]*at least 0 m/);
   assert.match(await page.locator("#budget").innerText(), /cf1 \/ x has 18 steps and holds 100 at a time/);
   const before = await page.locator("#playhead").innerText();

@@ -3,6 +3,7 @@
 mod brief;
 mod busy;
 mod course;
+pub mod cue_sheet;
 pub mod gantt;
 pub mod graph;
 pub mod local;

@@ -14,6 +14,7 @@ mod choice;
 mod completions;
 mod conformance;
 mod console;
+mod cues;
 mod detach;
 mod diff;
 mod discover;
@@ -128,6 +129,8 @@ enum Command {
     Moves(moves::MovesArgs),
     /// Show when each cue takes place and which requests each robot receives.
     Plan(plan::PlanArgs),
+    /// List all cues for the people who run the show, also as CSV or as a page to print.
+    Cues(cues::CuesArgs),
     /// Write acts, cues and their relations as a graph, for Graphviz.
     Graph(graph::GraphArgs),
     /// Play a scenario in virtual time with simulated robots.
@@ -278,6 +281,7 @@ pub fn main() -> ExitCode {
         Command::Lsp(args) => lsp::lsp(&args),
         Command::Moves(args) => moves::moves(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
+        Command::Cues(args) => cues::cues(&args, format),
         Command::Graph(args) => graph::graph(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),
         Command::Preflight(args) => run::preflight(&args, format),

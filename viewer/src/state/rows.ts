@@ -66,7 +66,7 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
   const addGroup = (group: number, robots: number[]) => {
     const cues = passing.filter(({ cue }) => cue.robots.some((robot) => robots.includes(robot)));
     const lines = linesOf(cues);
-    add({ kind: "group", group, folded: folded.has(foldOfGroup(group)), robots, lines, top, height: HEIGHT.robot - LINE.only + linesHeight(lines.length) });
+    add({ kind: "group", group, folded: folded.has(foldOfGroup(group)) && filter.text === "", robots, lines, top, height: HEIGHT.robot - LINE.only + linesHeight(lines.length) });
   };
   const groupOf = groupsOfRows(show);
   const shown = shownRobots(show, filter);
@@ -83,8 +83,9 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
     const group = groupOf.get(robot);
     if (group !== undefined && group !== current) addGroup(group, ordered.filter((one) => groupOf.get(one.robot) === group).map((one) => one.robot));
     current = group;
-    if (group !== undefined && folded.has(foldOfGroup(group))) continue;
-    const closed = folded.has(robot);
+    // What was searched for is shown, even in a folded row.
+    if (group !== undefined && folded.has(foldOfGroup(group)) && filter.text === "") continue;
+    const closed = folded.has(robot) && !(filter.text !== "" && tracks.length < show.tracksOf[robot].length);
     const lines = linesOf(cuesOf[robot].filter((placed) => passes.has(placed)));
     add({
       kind: "robot",

@@ -19,10 +19,11 @@ function unitOf(ms: number): Unit {
   return UNITS.slice(1).find((unit) => size >= SMALLEST_SHARE * unit.ms) ?? UNITS[UNITS.length - 1];
 }
 
-/** Two significant digits, or more in front of the point. */
+/** Two significant digits, or more in front of the point; whole numbers as they are. */
 export function significant(value: number): string {
+  if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
-  if (size === 0 || !Number.isFinite(value)) return size === 0 ? "0" : "–";
+  if (!Number.isFinite(value)) return "–";
   const decimals = Math.max(0, 1 - Math.floor(Math.log10(size)));
   const text = value.toFixed(Math.min(decimals, 12));
   // 9.96 has one decimal, but is shown as "10".

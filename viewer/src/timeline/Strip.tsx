@@ -21,6 +21,8 @@ const AXIS = 18;
 const ACTS = 18;
 /** Rows of cues; more cues share the last one. */
 const ROWS = 3;
+/** Largest height of a row, in pixels. */
+const HIGHEST = 28;
 
 export function Strip() {
   const session = useSession();
@@ -71,7 +73,7 @@ interface Band {
 
 function bands(height: number, rows: number): Band[] {
   const top = AXIS + ACTS;
-  const each = Math.max(6, (height - top - 2) / Math.max(1, rows));
+  const each = Math.max(6, Math.min(HIGHEST, (height - top - 2) / Math.max(1, rows)));
   return Array.from({ length: rows }, (_, i) => ({ top: top + i * each, height: each - 2 }));
 }
 

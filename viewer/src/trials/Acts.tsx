@@ -1,5 +1,5 @@
 // Each act over all trials.
-import { digits } from "../text/digits";
+import { time } from "../text/amount";
 import { Limited } from "../panels/Limited";
 import { Name } from "../text/Name";
 import type { Trials } from "../trials";
@@ -39,7 +39,7 @@ export function Acts({ acts }: Pick<Trials, "acts">) {
                         {act.starts.count} of {act.starts.of} ({percent(act.starts)})
                       </td>
                       <QuantileCells quantiles={act.spread} />
-                      <td class="number">{digits(act.tolerance_ms)} ms</td>
+                      <td class="number">{time(act.tolerance_ms)}</td>
                       <td class="number">{percent(act.beyond_tolerance)}</td>
                     </tr>
                   ))}

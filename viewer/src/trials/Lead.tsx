@@ -1,6 +1,6 @@
 // How much time acts had to be decided, and how much would have been sufficient.
 import type { Trials } from "../trials";
-import { digits } from "../text/digits";
+import { time } from "../text/amount";
 import { RangeBar } from "./bars";
 import { counted } from "./percent";
 import { QuantileCells } from "./Robots";
@@ -15,8 +15,8 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
       ) : (
         <>
           <p>
-            A lead of {digits(lead.enough.p99_ms)} ms would have been sufficient for 99 % of the {counted(lead.enough.count, "act")} that
-            were decided, and one of {digits(lead.enough.max_ms)} ms for all of them.
+            A lead of {time(lead.enough.p99_ms)} would have been sufficient for 99 % of the {counted(lead.enough.count, "act")} that
+            were decided, and one of {time(lead.enough.max_ms)} for all of them.
           </p>
           <Wide label="lead">
             <table id="lead">

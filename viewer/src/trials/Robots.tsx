@@ -1,6 +1,6 @@
 // Each robot over all trials: how often it failed first, and how long its acceptance took.
 import { Limited } from "../panels/Limited";
-import { digits } from "../text/digits";
+import { exactly, time } from "../text/amount";
 import { Name } from "../text/Name";
 import type { Quantiles, Trials, TriedRobot } from "../trials";
 import { RangeBar } from "./bars";
@@ -15,7 +15,7 @@ export function Robots({ trials }: { trials: Trials }) {
       <h2 id="robots-title">Robots</h2>
       <p class="hint">
         Accepts within: from the sending of an act until the robot had accepted its scripts. The bar is thick up to the time of a
-        half, thin up to that of 99 %, with a mark at the largest; it ends at {digits(end)} ms.
+        half, thin up to that of 99 %, with a mark at the largest; it ends at {time(end)}.
       </p>
       <Limited items={robots} name="robots">
         {(some) => (
@@ -77,8 +77,8 @@ export function QuantileCells({ quantiles }: { quantiles: Quantiles | null }) {
   return (
     <>
       {values.map((ms, i) => (
-        <td key={i} class="number">
-          {ms === null ? "–" : `${digits(ms)} ms`}
+        <td key={i} class="number" title={exactly(ms)}>
+          {ms === null ? "–" : time(ms)}
         </td>
       ))}
     </>

@@ -1,6 +1,6 @@
 // Spread of the starts: a histogram with the tolerance and the quantiles.
 import type { Histogram, Trials } from "../trials";
-import { digits } from "../text/digits";
+import { exactly, time } from "../text/amount";
 import { niceStep } from "../text/time";
 import { counted } from "./percent";
 
@@ -41,7 +41,7 @@ export function Spread({ trials: { spread, histogram, acts } }: { trials: Trials
         {marks.map(({ name, ms }) => (
           <>
             <dt>{name}</dt>
-            <dd>{digits(ms)} ms</dd>
+            <dd title={exactly(ms)}>{time(ms)}</dd>
           </>
         ))}
       </dl>
@@ -66,7 +66,7 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
   const step = niceStep(end / 5, 1);
   const ticks = Array.from({ length: Math.floor(end / step + 1e-9) + 1 }, (_, i) => i * step);
   const isFar = ({ kind, ms }: Mark) => kind === "tolerance" && ms > end;
-  const told = marks.map(({ name, ms }) => `${name} ${digits(ms)} ms`).join(", ");
+  const told = marks.map(({ name, ms }) => `${name} ${time(ms)}`).join(", ");
   return (
     <svg class="histogram" width="100%" height={bottom + 20} role="img" aria-label={`Histogram of the spread: ${told}`}>
       {counts.map((count, i) => count > 0 && bar(((i * width_ms) / end) * room, (width_ms / end) * room, count, String(i)))}
@@ -102,7 +102,7 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
             y={i * LABEL + 12}
             text-anchor={near ? "start" : "end"}
           >
-            {mark.name} {digits(mark.ms)} ms{far ? " →" : ""}
+            {mark.name} {time(mark.ms)}{far ? " →" : ""}
           </text>
         );
       })}

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
 use downbeat_mission::{Failure, Record};
 use serde::Serialize;
-use urrcp::Span;
+use urrcp::{RobotId, Span};
 
 use super::played::{PlayedAct, SentScript, acts, movement};
 use super::steps::{StepDifferences, compare};
@@ -60,7 +60,8 @@ pub(crate) struct RunAct {
 pub(crate) struct Figure {
     pub(crate) a: Option<f64>,
     pub(crate) b: Option<f64>,
-    /// Whether the value of the second mission is better. `None` if a value is unknown, or if both are equally far from 0.
+    /// Whether the value of the second mission is better. `None` if a value is unknown, if both are equally far from 0, or if their
+    /// difference is smaller than the uncertainty of the clocks.
     pub(crate) better: Option<bool>,
 }
 
@@ -146,13 +147,15 @@ fn failures(history: &History) -> Vec<RobotFailure> {
 }
 
 impl Figure {
-    fn of(a: Option<f64>, b: Option<f64>, within: Span) -> Option<Self> {
+    /// `uncertainty`: the error bound of the difference, in milliseconds.
+    fn of(a: Option<f64>, b: Option<f64>, within: Span, uncertainty: f64) -> Option<Self> {
         let differs = match (a, b) {
             (Some(a), Some(b)) => Span::from_millis_f64(a - b).abs() > within,
             (None, None) => false,
             _ => true,
         };
-        let better = a.zip(b).filter(|(a, b)| a.abs() != b.abs()).map(|(a, b)| b.abs() < a.abs());
+        let known = |a: f64, b: f64| (a.abs() - b.abs()).abs() > uncertainty;
+        let better = a.zip(b).filter(|(a, b)| known(*a, *b)).map(|(a, b)| b.abs() < a.abs());
         differs.then_some(Self { a, b, better })
     }
 }
@@ -171,13 +174,22 @@ fn act<'a>(side_a: &Side<'a>, side_b: &Side<'a>, within: Span) -> RunAct {
     let both = a.zip(b);
     let rows = |report: Option<&'a ActReport>| report.map_or(&[][..], |report| &report.robots);
     let rows = matched(rows(report_a), rows(report_b), |row| &row.robot);
-    let robots = rows.into_iter().map(|(a, b)| robot(a, b, within));
+    let uncertainty = |robot: &RobotId| {
+        let robot = robot.as_str();
+        side_a.history.clock_uncertainty(robot) + side_b.history.clock_uncertainty(robot)
+    };
+    let of_spread = rows.iter().filter_map(|(a, b)| b.or(*a)).map(|row| uncertainty(&row.robot));
+    let of_spread = of_spread.fold(0.0, f64::max);
+    let robots = rows.into_iter().map(|(a, b)| {
+        let uncertainty = b.or(a).map_or(0.0, |row| uncertainty(&row.robot));
+        robot(a, b, within, uncertainty)
+    });
     RunAct {
         act: b.or(a).map(|act| act.name.clone()).unwrap_or_default(),
         time: b.or(a).map_or(1, |act| act.before + 1),
         presence: Presence::of(a, b),
         fate: both.and_then(|(a, b)| Change::of(a.fate.clone(), b.fate.clone())),
-        spread_ms: both.and_then(|_| Figure::of(spread(report_a), spread(report_b), within)),
+        spread_ms: both.and_then(|_| Figure::of(spread(report_a), spread(report_b), within, of_spread)),
         robots: robots.filter(|robot| both.is_some() && !robot.is_empty()).collect(),
         scripts: both.map_or_else(Vec::new, |(a, b)| scripts([side_a.history, side_b.history], a, b)),
     }
@@ -190,7 +202,7 @@ impl RunAct {
     }
 }
 
-fn robot(a: Option<&ActRobot>, b: Option<&ActRobot>, within: Span) -> RunRobot {
+fn robot(a: Option<&ActRobot>, b: Option<&ActRobot>, within: Span, uncertainty: f64) -> RunRobot {
     let shown = b.or(a).map_or("", |row| row.robot.as_str());
     let both = a.zip(b);
     let change = |of: fn(&DeviceReport) -> u32| both.and_then(|(a, b)| Change::of(sum(a, of), sum(b, of)));
@@ -210,7 +222,8 @@ fn robot(a: Option<&ActRobot>, b: Option<&ActRobot>, within: Span) -> RunRobot {
         robot: shown.to_owned(),
         presence: Presence::of(a, b),
         left_out: both.and_then(|(a, b)| Change::of(a.left_out, b.left_out)),
-        start_error_ms: both.and_then(|(a, b)| Figure::of(start_error(a), start_error(b), within)),
+        start_error_ms: both
+            .and_then(|(a, b)| Figure::of(start_error(a), start_error(b), within, uncertainty)),
         steps_done: change(|script| script.steps_done),
         late_steps: change(|script| script.late_steps),
         states,
@@ -314,6 +327,23 @@ mod tests {
         let robot = &found.acts[0].robots[0];
         assert_eq!(robot.start_error_ms, Some(Figure { a: Some(2.0), b: Some(-0.5), better: Some(true) }));
         assert!(!found.same && robot.states.is_empty() && found.acts[0].scripts.is_empty());
+    }
+
+    #[test]
+    fn neither_value_is_better_within_the_uncertainty_of_the_clocks() {
+        let better = |delay_ms: f64| {
+            let [a, b] = [2.0, 0.5].map(|error_ms| {
+                let mut history = history(error_ms, Ended, one());
+                let mut robot = crate::history::KnownRobot::new("r".parse().unwrap(), None);
+                robot.clock.push((Timestamp::from_nanos(0), 0.0, delay_ms));
+                history.robots.push(robot);
+                history
+            });
+            let found = runs(&a, &b, Span::ZERO).acts.remove(0);
+            [found.spread_ms, found.robots[0].start_error_ms].map(|figure| figure.unwrap().better)
+        };
+        assert_eq!(better(1.4), [Some(true); 2]);
+        assert_eq!(better(1.6), [None; 2]);
     }
 
     #[test]

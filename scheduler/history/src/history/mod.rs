@@ -236,7 +236,18 @@ impl History {
         Some(report)
     }
 
-    /// The last instant with an entry in the file; `None` if the file has no entries.
+    /// The error bound of a robot's clock in milliseconds, as the mission reported it, or else half of the shortest round trip. 0 if the
+    /// file contains neither.
+    pub(crate) fn clock_uncertainty(&self, robot: &str) -> f64 {
+        let rows = self.ended_with.as_ref().and_then(|report| report["robots"].as_array());
+        let row = rows.into_iter().flatten().find(|row| row["robot"] == robot);
+        let reported = row.and_then(|row| row["clock"]["uncertainty_ms"].as_f64());
+        let known = self.robots.iter().find(|known| known.id.as_str() == robot);
+        let halves = known.into_iter().flat_map(|known| &known.clock).map(|(_, _, delay)| delay / 2.0);
+        reported.or_else(|| halves.reduce(f64::min)).unwrap_or_default()
+    }
+
+    /// The time of the last entry of the file; `None` if the file has no entries.
     pub(crate) fn known_until(&self) -> Option<Timestamp<Server>> {
         let happened = self.told.iter().map(|(at, _)| *at).chain(self.records.iter().map(|(at, _)| *at));
         happened.chain(self.robots.iter().filter_map(|robot| robot.heard)).max()

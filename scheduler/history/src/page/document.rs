@@ -23,7 +23,7 @@ pub(super) struct Mission {
     pub(super) epoch: String,
     pub(super) from: f64,
     pub(super) to: f64,
-    /// The last instant with an entry in the file. Later parts of the plan may not have been played yet.
+    /// The time of the last entry of the file. Later parts of the plan may not have been played yet.
     pub(super) known_until: f64,
     pub(super) report: Option<Value>,
     pub(super) sources: Vec<Source>,
