@@ -200,10 +200,13 @@ fn symbols_and_folds_follow_the_structure() {
 fn formatting_changes_spaces_and_keeps_comments() {
     let desk = desk();
     let show = desk.path("show.yaml");
-    let text = SHOW.replace("to: 0}, {at", "to:   0},{at").replace("zones: [table]", "zones: [ table ] # one at a time");
+    let text = SHOW
+        .replace("to: 0}, {at", "to:   0},{at")
+        .replace("zones: [table]", "zones: [ table ] # one at a time");
     let mut editor = Editor::new();
     editor.open_as(&show, &text);
-    let params = json!({"textDocument": {"uri": uri(&show)}, "options": {"tabSize": 2, "insertSpaces": true}});
+    let params =
+        json!({"textDocument": {"uri": uri(&show)}, "options": {"tabSize": 2, "insertSpaces": true}});
     let edits = editor.request("textDocument/formatting", params.clone());
     let expected = SHOW.replace("zones: [table]", "zones: [table] # one at a time");
     assert_eq!(edits[0]["newText"].as_str(), Some(expected.as_str()));

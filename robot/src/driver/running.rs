@@ -433,7 +433,7 @@ mod tests {
     fn malformed_report_is_a_fault_of_the_program() {
         let (ear, mailbox) = ear();
         for (line, expected) in [
-            ("reading ear 4.5", "expected `reading SENSOR NUMBER` with a sensor of this robot"),
+            ("reading ear 4.5", "with a sensor of this robot"),
             ("reading eye", "expected `reading SENSOR NUMBER`"),
             ("reading eye high", "expected `reading SENSOR NUMBER`"),
             ("reading eye 4.5 late", "or `reading SENSOR NUMBER MILLISECONDS`"),

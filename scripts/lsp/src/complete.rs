@@ -204,7 +204,9 @@ impl Known<'_> {
             }
             items.extend(typing.naming.map(|naming| self.names(naming)).unwrap_or_default());
         }
-        if kinds.iter().any(|typing| is_value(typing.kind)) {
+        if kinds.iter().any(|typing| is_value(typing.kind))
+            && kinds.iter().all(|typing| typing.naming.is_none())
+        {
             items.extend(self.variables());
             items.extend(times(file, &kinds));
         }

@@ -98,6 +98,7 @@ keys! {
 keys! {
     /// Differences for one robot.
     pub(super) struct OverrideKeys as "override" {
+        /// The name of a move.
         r#move: kinds::MOVE,
         parameters: kinds::PARAMETERS,
         tracks: kinds::TRACKS,

@@ -165,8 +165,14 @@ mod tests {
     use super::super::{DmxAddress, Protocol};
     use super::*;
 
+    /// Returns an address on the loopback that no other process uses for these tests.
+    fn own_address(last: u8) -> Ipv4Addr {
+        let [_, _, high, low] = std::process::id().to_be_bytes();
+        Ipv4Addr::new(127, high, low, last)
+    }
+
     /// A node with an address of its own on the loopback, which answers one poll and ignores everything else.
-    fn node(host: &'static str, replies: Vec<Vec<u8>>) -> std::thread::JoinHandle<()> {
+    fn node(host: Ipv4Addr, replies: Vec<Vec<u8>>) -> std::thread::JoinHandle<()> {
         let socket = UdpSocket::bind((host, 6454)).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         std::thread::spawn(move || {
@@ -192,10 +198,10 @@ mod tests {
     #[test]
     fn node_is_listed_once_with_all_universes_that_it_outputs() {
         let damaged = vec![0; 20];
-        let node = node("127.0.0.61", vec![reply(&[5, 3]), damaged, reply(&[4, 5])]);
-        let nodes = poll_art_net(&[Ipv4Addr::new(127, 0, 0, 61)], Duration::from_secs(2)).unwrap();
+        let node = node(own_address(61), vec![reply(&[5, 3]), damaged, reply(&[4, 5])]);
+        let nodes = poll_art_net(&[own_address(61)], Duration::from_secs(2)).unwrap();
         node.join().unwrap();
-        let from = Ipv4Addr::new(127, 0, 0, 61).into();
+        let from = own_address(61).into();
         let first = 256 + 2 * 16;
         let universes = vec![first + 3, first + 4, first + 5];
         assert_eq!(nodes, [ArtNetNode { from, name: "Front row".to_owned(), universes }]);
@@ -203,9 +209,9 @@ mod tests {
 
     #[test]
     fn announcement_of_a_universe_is_understood_and_damaged_ones_are_ignored() {
-        let receiver = UdpSocket::bind(("127.0.0.62", 5568)).unwrap();
+        let receiver = UdpSocket::bind((own_address(62), 5568)).unwrap();
         receiver.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        let address = DmxAddress::new(Protocol::Sacn, 301, 1, Some("127.0.0.62".to_owned()));
+        let address = DmxAddress::new(Protocol::Sacn, 301, 1, Some(own_address(62).to_string()));
         let mut source = Transport::open(&address, receiver.local_addr().unwrap()).unwrap();
         source.announce().unwrap();
         let mut buffer = [0; 1_500];
