@@ -173,7 +173,11 @@ mod tests {
 
     /// A node with an address of its own on the loopback, which answers one poll and ignores everything else.
     fn node(host: Ipv4Addr, replies: Vec<Vec<u8>>) -> std::thread::JoinHandle<()> {
-        let socket = UdpSocket::bind((host, 6454)).unwrap();
+        // Programs on one machine share the port of Art-Net.
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, None).unwrap();
+        socket.set_reuse_address(true).unwrap();
+        socket.bind(&SocketAddr::from((host, 6454)).into()).unwrap();
+        let socket = UdpSocket::from(socket);
         socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         std::thread::spawn(move || {
             let mut buffer = [0; 600];
