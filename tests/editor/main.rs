@@ -1,5 +1,5 @@
 //! Tests of `downbeat lsp` with an editor that speaks the protocol over standard input and output.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod edited;
 mod features;

@@ -77,6 +77,9 @@ fn passphrase_is_asked_once_and_only_to_sign() {
     assert_eq!(asked(|| open().renew_lists(calendar() + 300 * DAY).unwrap()), 1);
 }
 
+/// Something that needs the key of the authority.
+type Action<'a> = &'a dyn Fn(&Authority) -> Option<KeysError>;
+
 #[test]
 fn wrong_or_unknown_passphrase_changes_nothing() {
     let folder = TempDir::new().unwrap();
@@ -91,7 +94,7 @@ fn wrong_or_unknown_passphrase_changes_nothing() {
         let open = || Authority::open_with(&keys, ask).unwrap();
         let new = |_: &Path| Passphrase::new("new".to_owned());
         // Each action has the folder for itself.
-        let actions: [&dyn Fn(&Authority) -> Option<KeysError>; 6] = [
+        let actions: [Action<'_>; 6] = [
             &|own| own.issue(&BTreeSet::from([robot("cf2")]), &Roles::default(), calendar(), 10).err(),
             &|own| own.renew(&robot("cf1"), calendar(), 10).err(),
             &|own| own.revoke(&robot("cf1"), calendar()).err(),

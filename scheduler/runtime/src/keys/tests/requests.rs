@@ -252,8 +252,8 @@ fn requests_are_signed_by_the_new_authority_while_it_replaces_the_old_one() {
     site.authority.rotate(calendar()).unwrap();
     let Renewed { made, requested } = site.authority.renew_all(calendar(), 10).unwrap();
     assert_eq!(made.into_iter().map(|(name, _)| name).collect::<Vec<_>>(), [robot("cf1")]);
-    assert_eq!(requested, [of_requested.clone()]);
-    assert_eq!(site.authority.not_renewed(calendar()).unwrap(), [of_requested.clone()]);
+    assert_eq!(requested, std::slice::from_ref(&of_requested));
+    assert_eq!(site.authority.not_renewed(calendar()).unwrap(), std::slice::from_ref(&of_requested));
 
     let anna = certified(&site, &operator(), &[], &[Role::Drive]);
     assert_ne!(anna.identity().authority, old);
