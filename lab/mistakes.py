@@ -44,7 +44,7 @@ def examine(downbeat, edits, device, only, custom=None):
         robot = processes.start(sys.executable, "robot.py", "--listen", "127.0.0.1:0", cwd=folder, stdout=subprocess.PIPE,
                                 stderr=subprocess.DEVNULL)
         address = robot.stdout.readline().strip().rpartition(" ")[2]
-        options = ["--tolerance", "150ms", "--format", "json"]
+        options = ["--tolerance", "100ms", "--format", "json"]
         options += ["--device", device] if device else []
         options += ["--custom", custom] if custom else []
         options += ["--only", ",".join(only)] if only else []
@@ -53,7 +53,9 @@ def examine(downbeat, edits, device, only, custom=None):
     if not done.stdout.startswith("["):
         return {"(no report)": done.stderr.strip() or "nothing"}, done.returncode
     judged = json.loads(done.stdout)
-    return {each["requirement"]: each["why"] for each in judged if each["verdict"] == "fail"}, done.returncode
+    failed = {each["requirement"]: each["why"] for each in judged if each["verdict"] == "fail"}
+    # The robot has no device that can be moved.
+    return failed | ({"exit-code-5": ""} if done.returncode == 5 else {}), done.returncode
 
 
 def known(downbeat):

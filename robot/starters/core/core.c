@@ -101,9 +101,15 @@ static void say_node(const char *key, int node)
     say(",\""), say(key), say("\":\""), put(json.nodes[node].text, json.nodes[node].length, true), say("\"");
 }
 static void fail(const char *code) { say(",\"error\":{\"code\":\""), say(code), say("\",\"message\":\"see the code\"}"); }
+static const char *first_device; /* of a request asked twice: the device that the first one named, if the robot has it */
 static size_t respond(int device, int id, const char *status, const char *value, const char *code, struct core_now now)
 {
-    say("{\"control_response\":{"), say_time("timestamp", now.clock), say_node("device_id", device), say_node("request_id", id);
+    say("{\"control_response\":{"), say_time("timestamp", now.clock);
+    if (first_device)
+        say(",\"device_id\":\""), say(first_device), say("\"");
+    else
+        say_node("device_id", device);
+    say_node("request_id", id);
     say(",\"status\":\""), say(status), say("\",\"status_value\":"), say(value);
     if (code)
         fail(code);
@@ -233,12 +239,14 @@ static size_t control(int body, int link, struct core_now now)
     home = get(body, "home") != JSON_NONE && json.nodes[get(body, "home")].type == JSON_TRUE;
     stop = script && json.nodes[value].size == 0;
     for (struct kept *k = answers; id != JSON_NONE && k < answers + KEPT; k++)
-        if (k->order && k->id == hash(id)) /* asked twice */
+        if (k->order && k->id == hash(id)) { /* asked twice */
+            first_device = k->device < 0 ? NULL : devices[k->device].id;
             return respond(name, id, k->code ? "Failed" : k->value[0] == 'n' ? "OK" : "Accepted", k->code ? "null" : k->value, k->code, now);
+        }
     c.start = sent_node != JSON_NONE && offset_node != JSON_NONE ? sent + offset : now.clock;
     if (busy)
         return respond(name, id, "Failed", "null", "busy", now);
-    c.kept = keep(hash(id), device ? (int)(device - devices) : 0);
+    c.kept = keep(hash(id), device ? (int)(device - devices) : -1);
     c.kept->order = id == JSON_NONE ? 0 : c.kept->order;
     if (!device)
         code = "unknown_device";
@@ -273,7 +281,7 @@ size_t core_line(int link, char *line, size_t length, struct core_now now, char 
     static const char *const of_robots[] = {"availability_response", "initialization_block", "control_response", "inquiry_response"};
     int key, body, session, seize, sent_node;
     int64_t sent;
-    out = answer, used = 0;
+    out = answer, used = 0, first_device = NULL;
     bool right = line && json_read(&json, line, length) && json.nodes[0].type == JSON_OBJECT && json.nodes[0].size == 1;
     key = right ? json.nodes[0].first : JSON_NONE;
     for (int i = 0; right && i < 4; i++)

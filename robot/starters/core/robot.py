@@ -150,7 +150,7 @@ class Robot:
         need(offsets == sorted(offsets), "a step lies before the one ahead of it")
         busy, now, id = self.hear(link, c["session"]), time.time_ns(), c["request_id"]
         if id in self.answers:
-            return answer(c["device_id"], id, self.answers[id]["end"], "as before", self.answers[id]["value"])
+            return answer(self.answers[id]["device_id"], id, self.answers[id]["end"], "as before", self.answers[id]["value"])
         sent = instant(c["timestamp"]) if c["timestamp"] else None
         start = sent + ns(c["time_offset_to_start"]) if sent is not None and c["time_offset_to_start"] is not None else now
         c.update(value=value, start=start, link=link, end=None, until=instant(c["pending_until"]) if c["pending_until"] else NEVER)

@@ -89,11 +89,13 @@ fn lease(trial: &Trial) -> Checked {
     let (first, second) = (trial.actor()?, trial.second()?);
     let mut line = trial.connect()?;
     let kept = line.held(&trial.pending(second).leased(LATER_MS))?;
-    let mut short = vec![trial.pending(first)];
-    if first.in_script && trial.reports() {
-        short.push(trial.there_and_back(first, 4_000.0).starting_in(100.0));
-    }
-    for request in short {
+    let runs = first.in_script && trial.reports();
+    for running in [false, true].into_iter().filter(|running| runs || !running) {
+        let request = if running {
+            trial.there_and_back(first, 4_000.0).starting_in(100.0)
+        } else {
+            trial.pending(first)
+        };
         let lost = line.held(&request.leased(300.0))?;
         line.listen(trial.soon(300) + trial.slack(), |line| !line.asked(lost).is_held())?;
         line.ends(lost, ErrorCode::LinkLost)?;

@@ -360,6 +360,13 @@ impl Trial {
                 break false;
             }
         };
+        if let Some(second) = &self.second {
+            // A check that failed may have left a command there.
+            let _answer = self.connect().and_then(|mut line| {
+                let ticket = line.ask(&self.cancel(second))?;
+                line.answer(ticket).map(drop)
+            });
+        }
         if self.left_held.replace(false) {
             let _had_enough = self.pause(Span::from_millis_f64(LEASE_MS));
         }
