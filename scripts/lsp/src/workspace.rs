@@ -173,7 +173,7 @@ pub(crate) fn fleet_of(scenario: &File) -> PathBuf {
     nearest_fleet(&scenario.path)
 }
 
-/// Returns the path of the nearest `fleet.yaml` in the project of a file; that in the file's own folder if there is none.
+/// Returns the path of the nearest `fleet.yaml` in the project of a file. If the project has no fleet file, it is the path in the file's own folder.
 pub(crate) fn nearest_fleet(path: &Path) -> PathBuf {
     let folder = path.parent().unwrap_or(Path::new(""));
     let project = Project::of(path);
