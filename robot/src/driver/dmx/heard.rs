@@ -40,7 +40,7 @@ pub struct SacnSource {
 /// Fails if no socket can be opened. Networks that cannot be reached have no nodes.
 pub fn poll_art_net(to: &[Ipv4Addr], wait: Duration) -> io::Result<Vec<ArtNetNode>> {
     // Nodes answer to this port, whichever port asked.
-    let socket = shared_socket(Protocol::ArtNet.port())?;
+    let socket = shared_socket(Ipv4Addr::UNSPECIFIED, Protocol::ArtNet.port())?;
     socket.set_broadcast(true)?;
     let poll = ArtCommand::Poll(Poll::default()).write_to_buffer();
     let poll = poll.map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.to_string()))?;
@@ -74,7 +74,7 @@ pub fn poll_art_net(to: &[Ipv4Addr], wait: Duration) -> io::Result<Vec<ArtNetNod
 /// # Errors
 /// Fails if no socket can be opened. Interfaces without multicast have no sources.
 pub fn hear_sacn(interfaces: &[Ipv4Addr], wait: Duration) -> io::Result<Vec<SacnSource>> {
-    let socket = shared_socket(Protocol::Sacn.port())?;
+    let socket = shared_socket(Ipv4Addr::UNSPECIFIED, Protocol::Sacn.port())?;
     let IpAddr::V4(group) = multicast(DISCOVERY_UNIVERSE) else { return Ok(Vec::new()) };
     for interface in interfaces {
         if let Err(error) = socket.join_multicast_v4(&group, interface) {
@@ -99,10 +99,10 @@ pub fn hear_sacn(interfaces: &[Ipv4Addr], wait: Duration) -> io::Result<Vec<Sacn
 }
 
 /// Opens a socket that other programs of this machine can share, such as a lighting desk.
-fn shared_socket(port: u16) -> io::Result<UdpSocket> {
+pub(super) fn shared_socket(host: Ipv4Addr, port: u16) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
     socket.set_reuse_address(true)?;
-    socket.bind(&SocketAddr::from((Ipv4Addr::UNSPECIFIED, port)).into())?;
+    socket.bind(&SocketAddr::from((host, port)).into())?;
     Ok(socket.into())
 }
 
@@ -173,11 +173,7 @@ mod tests {
 
     /// A node with an address of its own on the loopback, which answers one poll and ignores everything else.
     fn node(host: Ipv4Addr, replies: Vec<Vec<u8>>) -> std::thread::JoinHandle<()> {
-        // Programs on one machine share the port of Art-Net.
-        let socket = Socket::new(Domain::IPV4, Type::DGRAM, None).unwrap();
-        socket.set_reuse_address(true).unwrap();
-        socket.bind(&SocketAddr::from((host, 6454)).into()).unwrap();
-        let socket = UdpSocket::from(socket);
+        let socket = shared_socket(host, 6454).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         std::thread::spawn(move || {
             let mut buffer = [0; 600];
@@ -213,7 +209,7 @@ mod tests {
 
     #[test]
     fn announcement_of_a_universe_is_understood_and_damaged_ones_are_ignored() {
-        let receiver = UdpSocket::bind((own_address(62), 5568)).unwrap();
+        let receiver = shared_socket(own_address(62), 5568).unwrap();
         receiver.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         let address = DmxAddress::new(Protocol::Sacn, 301, 1, Some(own_address(62).to_string()));
         let mut source = Transport::open(&address, receiver.local_addr().unwrap()).unwrap();

@@ -16,7 +16,7 @@ struct Receiver {
 
 impl Receiver {
     fn at(host: &str, port: u16) -> Self {
-        let socket = UdpSocket::bind((host, port)).unwrap();
+        let socket = heard::shared_socket(host.parse().unwrap(), port).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         Self { socket, host: host.to_owned() }
     }
