@@ -82,7 +82,7 @@ fn later_of_two_nearly_simultaneous_stops_takes_effect() {
         mission.line("stopping all robots");
         std::thread::sleep(Duration::from_millis(delay));
         let home = stage.start(&["stop", "--home"]);
-        mission.line("sending all robots to their default state");
+        mission.line("stopped by the operator; then home");
         stage.robots[1].thaw();
         says(&home.ended(), 0, &["r0: default state confirmed", "r1: default state confirmed"]);
         says(&first.ended(), 0, &[]);

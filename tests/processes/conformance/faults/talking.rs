@@ -243,6 +243,9 @@ pub fn of_links() -> Vec<Mutant> {
             ..mutant("sixteen silent peers are all it serves", &["silent-peers"], pass)
         },
         // Requirements with a second connection are then not applicable.
-        Mutant { serving: Serving::OneByOne, ..mutant("one connection at a time", &["two-links"], pass) },
+        Mutant {
+            serving: Serving::OneByOne,
+            ..mutant("one connection at a time", &["initialization", "two-links"], pass)
+        },
     ]
 }
