@@ -133,7 +133,7 @@ fn keys_move_the_robot_and_save_a_pose() {
     await_that("the position", || jog.watched.raw().contains("12.5 deg"));
     jog.terminal.type_keys("\x1b[B\x1b[C");
     await_that("the hand", || stage.robots[0].values("hand").contains(&2.0));
-    jog.terminal.type_keys("slow down\r");
+    jog.terminal.type_keys("sslow down\r");
     await_that("the pose", || stage.path("poses.yaml").exists());
     jog.terminal.type_keys("q");
     jog.ends_with(0);
