@@ -258,7 +258,7 @@ MISTAKES = [
     m("inquiries", "a cancelled request is unknown", "inquiry-ended", ('"ended" if key in self.answers else "unknown"', '"ended" if key in self.answers and self.answers[key]["status"] == "OK" else "unknown"')),
     m("inquiries", "a stop is unknown to an inquiry", "inquiry-stop", ('"ended" if key in self.answers else "unknown"', '"ended" if key in self.answers and "steps_done" in self.answers[key] or self.answers.get(key, {}).get("error") else "unknown"')),
     # Declarations.
-    m("declared", "api_version is a word", "api-version", (API, '"api_version": "v1", "reports": True,')),
+    m("declared", "api_version is not a number", "api-version", (API, '"api_version": "v1", "reports": True,')),
     m("declared", "api_version is another version", "api-version", (API, '"api_version": "2.0", "reports": True,')),
     m("declared", "a claimed encoding is not spoken", "encodings", (API, API + ' "encodings": ["msgpack"],')),
     m("declared", "pending_until without inquiry", "initialization", ('         "inquiry": True, "pending_until"', '         "inquiry": False, "pending_until"')),

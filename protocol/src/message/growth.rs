@@ -32,7 +32,7 @@ pub(super) enum Word<T> {
 }
 
 impl<'de, T: Deserialize<'de>> Word<T> {
-    /// Deserializes a word from a text by the deserializer of `T`. An unknown one is an error, except in a message.
+    /// Deserializes a text with the deserializer of `T`. An unknown word is an error, except in a message.
     pub(super) fn read<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         if !skips_unknown_words() {
             return T::deserialize(deserializer).map(Self::Known);

@@ -16,16 +16,17 @@ use crate::text::Text;
 use crate::typed::{Typing, alternatives};
 use crate::workspace::Workspace;
 
-/// Stands for the word at the cursor while the text is parsed. No name contains this character of Unicode's private area.
+/// Replaces the prefix before the cursor while the text is parsed. No name contains this character of Unicode's private area.
 const MARK: &str = "\u{f8ff}";
 /// Maximum number of scenarios from which names are offered in a file that they share.
 const SHOWS_MAX: usize = 4;
 
-/// The word at the cursor.
+/// The prefix before the cursor.
 struct Cursor<'f> {
     file: &'f File,
-    /// The bytes of the word before the cursor, which a completion replaces.
+    /// First byte of the prefix. A completion replaces the bytes up to `end`.
     start: usize,
+    /// Byte of the cursor.
     end: usize,
 }
 
@@ -66,7 +67,7 @@ pub(crate) fn complete(
     items
 }
 
-/// Returns the byte at which the word before a byte begins.
+/// Returns the first byte of the prefix that ends at `byte`.
 fn word_start(text: &str, byte: usize) -> usize {
     let is_of_word = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | '$');
     let line = text[..byte].rfind('\n').map_or(0, |end| end + 1);
@@ -85,7 +86,7 @@ impl Cursor<'_> {
         before.starts_with('#') || before.contains(" #")
     }
 
-    /// Parses the text up to the cursor with the mark in place of the word: as a value, or else as a key.
+    /// Parses the text up to the cursor with the mark in place of the prefix: as a value, or else as a key.
     fn marked(&self) -> Option<Marked> {
         let before = &self.file.text.as_str()[..self.start];
         let closers = closers(before);
