@@ -52,7 +52,6 @@ fn every_request_is_answered_in_half_typed_files() {
 
 /// Random edits, each as the editor sends it. After every few, the findings are those of `downbeat check` for the same text.
 #[test]
-#[ignore = "two differences of syntax errors are not explained yet: `.ci/release` runs it"]
 fn findings_after_random_edits_are_those_of_check() {
     let rounds = std::env::var("DOWNBEAT_EDITS").map_or(30, |rounds| rounds.parse().unwrap());
     let mut rng = fastrand::Rng::new();

@@ -124,8 +124,10 @@ impl Editor {
 
     pub fn open_as(&mut self, path: &Path, text: &str) {
         let uri = uri(path);
-        self.versions.insert(uri.clone(), 1);
-        let document = json!({"uri": uri, "languageId": "yaml", "version": 1, "text": text});
+        // A file that is opened again continues to count, so that no diagnostics of its earlier texts pass as those of the new one.
+        let version = self.versions.entry(uri.clone()).or_insert(0);
+        *version += 1;
+        let document = json!({"uri": uri, "languageId": "yaml", "version": *version, "text": text});
         self.notify("textDocument/didOpen", json!({"textDocument": document}));
     }
 
